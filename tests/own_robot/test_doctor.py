@@ -1,10 +1,12 @@
 """``knowarm doctor`` of robots: refused options; the draft of a bare file is written and drawn."""
 
 import shlex
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from mujoco import MjModel
 
 from knowarm.cli.main import _parse
 from knowarm.config import override
@@ -13,10 +15,13 @@ from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.evaluation import EvaluationConfig
 from knowarm.experiment.names import experiment_config
 from knowarm.own_robot.command import Doctor
+from knowarm.own_robot.draft import Draft
 from knowarm.world.agents import OracleAgent
 from knowarm.world.config import EnvConfig
 from knowarm.world.description import read_description
+from knowarm.world.robots import find_robot
 from knowarm.world.robots.robot import Robot
+from tests.own_robot.robot_cases import as_urdf
 from tests.world.helpers import EXAMPLES, write_robot
 
 
@@ -241,3 +246,42 @@ def test_an_installation_that_works_passes_every_check(
         "output folder",
     ):
         assert check in out
+
+
+def test_a_converted_model_is_kept_beside_a_whole_draft_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A draft takes minutes, and what is killed in it cannot clean up."""
+    here = "knowarm.own_robot.command."
+    source = tmp_path / "source"
+    source.mkdir()
+    (source / "arm.urdf").write_text(as_urdf())
+    folder = tmp_path / "new"
+    folder.mkdir()
+    doctor = Doctor(robot=str(source / "arm.urdf"), write=folder / "mine.toml")
+    during = []
+
+    def draft_robot(model: Path, *args: object) -> Draft:
+        during.append([*folder.iterdir()])
+        MjModel.from_xml_path(str(model))
+        if len(during) == 1:
+            raise KeyboardInterrupt
+        robot = replace(find_robot("irb120"), mjcf=model)
+        choices = {"success_angle_deg": 15.0, "ignore_roll": False, "distance_m": 0.1}
+        return Draft(robot=robot, fields={"mjcf": str(model)}, how={}, **choices)
+
+    monkeypatch.setattr(here + "draft_robot", draft_robot)
+    monkeypatch.setattr(here + "repair_draft", lambda draft, *args: draft)
+    monkeypatch.setattr(here + "shrink_distance", lambda draft, targets: draft)
+    monkeypatch.setattr(here + "check_robot", lambda *args, **options: [])
+    with pytest.raises(KeyboardInterrupt):
+        doctor.run()
+    doctor.run()
+    assert during == [[], []]
+    left = sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
+    assert left == ["mine", "mine.toml", "mine/arm.xml", "mine/meshes"]
+    assert 'mjcf = "mine/arm.xml"' in (folder / "mine.toml").read_text()
+    (folder / "mine.toml").unlink()
+    with pytest.raises(UserError, match=r"mine for the .* exists; remove or"):
+        doctor.run()
+    assert len(during) == 2

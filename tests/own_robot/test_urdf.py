@@ -201,13 +201,6 @@ def test_what_cannot_be_converted_is_refused(
     (tmp_path / "arm.urdf").write_text(text)
     with pytest.raises(UserError, match=words):
         as_mjcf(tmp_path / "arm.urdf", tmp_path / "out", **options)
-    assert not (tmp_path / "out").exists()
-
-
-def test_no_folder_is_overwritten(tmp_path: Path) -> None:
-    convert(tmp_path, urdf())
-    with pytest.raises(UserError, match="exists; remove or rename"):
-        as_mjcf(tmp_path / "arm.urdf", tmp_path / "out")
 
 
 IN_XACRO = '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">{}</robot>'

@@ -3,7 +3,7 @@
 import re
 import shlex
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated, Any
@@ -30,7 +30,12 @@ from knowarm.own_robot.plausible import ranges_of
 from knowarm.own_robot.repair import repair_draft
 from knowarm.own_robot.robot_check import check_robot
 from knowarm.own_robot.scene_image import write_scene_image
-from knowarm.own_robot.urdf import MODEL_SUFFIXES, as_mjcf
+from knowarm.own_robot.urdf import (
+    MODEL_SUFFIXES,
+    as_mjcf,
+    keep_converted,
+    refuse_folder,
+)
 from knowarm.pictures import check_suffix
 from knowarm.reading import replacing
 from knowarm.world.config import EnvConfig
@@ -170,15 +175,19 @@ class Doctor(TableCommand):
             yield from self._check(robot)
             return
         self._refuse_existing()
-        with TemporaryDirectory() as folder:
+        with TemporaryDirectory() as temporary:
             stem = _run_name(Path(robot).with_suffix("").stem)
-            file = new or Path(folder) / f"{stem}{SUFFIX}"
+            file = new or Path(temporary) / f"{stem}{SUFFIX}"
+            folder = file.with_suffix("")
             model, note = as_mjcf(
                 Path(robot),
-                file.with_suffix(""),
+                Path(temporary) / folder.name,
                 arguments=self.xacro,
                 packages=self.package,
             )
+            is_kept = new is not None and bool(note)
+            if is_kept:
+                refuse_folder(folder)
             targets = self.targets or EnvConfig().targets
             given = read_overrides(self.set)
             if self.calibration is not None:
@@ -195,6 +204,9 @@ class Doctor(TableCommand):
                 draft = shrink_distance(draft, targets)
             if note:
                 draft.how["file"] = note if new else f"{note}; --write keeps the result"
+            if is_kept:  # only now, so that a draft that is stopped leaves nothing
+                kept = keep_converted(model, folder)
+                draft = replace(draft, robot=replace(draft.robot, mjcf=kept))
             text = draft.toml(file)
             self._print(draft, text, new or Path(file.name))
             with replacing(file) as temporary:

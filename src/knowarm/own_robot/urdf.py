@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from copy import deepcopy
 from importlib import import_module
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 from urllib.parse import unquote
 from xml.etree import ElementTree
@@ -61,27 +60,34 @@ def as_mjcf(
 ) -> tuple[Path, str]:
     """Return the MJCF file of a robot's file, and what was done to convert it ("" for MJCF).
 
-    A URDF or xacro file is converted into a new ``folder``. ``arguments`` of xacro have the form
-    ``name:=value``, and ``packages`` that its meshes and includes lie in ``name=folder``.
+    A URDF or xacro file is converted into a new ``folder``, of which an error leaves a part.
+    ``arguments`` of xacro have the form ``name:=value``, and ``packages`` that its meshes and
+    includes lie in ``name=folder``.
 
     Raises:
         UserError: a package, mesh or library is missing, or the file is invalid.
     """
     refuse_pointer(path)
     ros = _Packages(path, packages)
-    name = path.with_suffix("").stem + ".xml"
-    with TemporaryDirectory() as temporary:
-        with reading(path, "It cannot be converted: correct it."):
-            note = fenced(_convert, ros, arguments, Path(temporary) / name)
-        if not note:
-            return path, ""
-        if folder.exists():
-            raise UserError(
-                f"The folder {folder} for the converted model exists; remove or rename it."
-            )
-        with writing(folder), new_folder(folder) as made:
-            shutil.copytree(temporary, made, dirs_exist_ok=True)
-    return folder / name, note
+    with reading(path, "It cannot be converted: correct it."):
+        file = folder / path.with_suffix("").with_suffix(".xml").name
+        note = fenced(_convert, ros, arguments, file)
+    return (file if note else path), note
+
+
+def keep_converted(model: Path, folder: Path) -> Path:
+    """Copy a converted model with its folder to a new one; return the model there."""
+    with writing(folder), new_folder(folder) as made:
+        shutil.copytree(model.parent, made, dirs_exist_ok=True)
+    return folder / model.name
+
+
+def refuse_folder(folder: Path) -> None:
+    """Refuse to convert a model into a folder that exists."""
+    if folder.exists():
+        raise UserError(
+            f"The folder {folder} for the converted model exists; remove or rename it."
+        )
 
 
 def _convert(ros: "_Packages", arguments: Sequence[str], file: Path) -> str:
@@ -365,7 +371,7 @@ def _convert_meshes(root: Element, folder: Path, ros: _Packages) -> list[str]:
 
     Return the names of textures and textured meshes.
     """
-    folder.mkdir()
+    folder.mkdir(parents=True)
     textured: list[str] = []
     known: dict[tuple[Path, str], dict[Path, str | None]] = {}
     for link in root.findall("link"):
