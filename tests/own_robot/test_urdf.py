@@ -137,7 +137,33 @@ def test_collada_keeps_its_colours_and_packages_are_found(tmp_path: Path) -> Non
     mesh.write_text("broken")
     with pytest.raises(UserError, match=r"link 1\.dae.* damaged or of another format"):
         as_mjcf(tmp_path / "arm_bringup/urdf/arm.urdf", tmp_path / "again")
-    assert not (tmp_path / "again").exists()
+
+
+PACKAGE = "<package><name>{}</name></package>"
+
+
+@pytest.mark.parametrize("name", ["by package.xml", "by its folder", "given", "copied"])
+def test_a_mesh_is_that_of_its_own_package(name: str, tmp_path: Path) -> None:
+    """Arms and grippers often have meshes of the same path."""
+    trimesh = pytest.importorskip("trimesh")
+    hand = {"by package.xml": "other", "given": "far/away/other"}.get(name, "hand")
+    for folder, size in (("arm", 0.1), (hand, 0.02)):
+        mesh = tmp_path / folder / "meshes" / "base.stl"
+        if name == "copied" and folder == hand:
+            continue
+        mesh.parent.mkdir(parents=True)
+        trimesh.creation.box([size] * 3).export(mesh)
+    if name == "by package.xml":
+        (tmp_path / hand / "package.xml").write_text(PACKAGE.format("hand"))
+    options = {"packages": [f"hand={tmp_path / hand}"]} if name == "given" else {}
+    (tmp_path / "arm" / "urdf").mkdir()
+    file = tmp_path / "arm" / "urdf" / "arm.urdf"
+    file.write_text(urdf('<mesh filename="package://hand/meshes/base.stl"/>'))
+    model, note = as_mjcf(file, tmp_path / "out", **options)
+    is_guessed = name == "copied"
+    size = mujoco.MjModel.from_xml_path(str(model)).geom_aabb[:, 3:].max()
+    assert size == pytest.approx(0.05 if is_guessed else 0.01)
+    assert note.endswith(f"paths only: hand is {tmp_path / 'arm'}") is is_guessed
 
 
 XACRO = """<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">
@@ -179,7 +205,11 @@ def test_xacro_is_expanded_with_its_arguments_and_packages(tmp_path: Path) -> No
             "maximum recursion depth",
         ),
         (urdf('<mesh filename="none.stl"/>'), {}, "Mesh 'none.stl' .* is not found"),
-        (urdf('<mesh filename="package://no/a.stl"/>'), {}, "--package no=FOLDER"),
+        (
+            urdf('<mesh filename="package://no/b/a.stl"/>'),
+            {},
+            "Give its folder, which holds b/a.stl: --package no=FOLDER",
+        ),
         (urdf('<mesh filename="file:///C:/a.stl"/>'), {}, "Mesh 'file:///C:/a.stl'"),
         (urdf().replace('link="l3"', 'link="l9"'), {}, "cannot be converted"),
         (urdf(), {"arguments": ["a:=1"]}, "--xacro needs a .xacro file"),

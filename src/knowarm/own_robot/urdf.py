@@ -130,6 +130,7 @@ def _convert(ros: "_Packages", arguments: Sequence[str], file: Path) -> str:
         ("impossible inertia repaired: ", repaired),
         ("soft limits taken for ", softened),
         ("textures drawn as one colour: ", textured),
+        ("packages known by their files' paths only: ", ros.guessed),
     ):
         if names:
             notes.append(what + ", ".join(names))
@@ -187,6 +188,7 @@ class _Packages:
         self.path = path
         self.above = path.absolute().parents[:LEVELS]
         self.given: dict[str, Path] = {}
+        self.guessed: list[str] = []  # Packages that only a path in them tells
         for name, text in _pairs("--package", given, "=").items():
             folder = Path(text).expanduser().resolve()
             if not folder.is_dir():
@@ -196,18 +198,25 @@ class _Packages:
                 )
             self.given[name] = folder
 
-    def folder(self, name: str) -> Path:
-        """Return the folder of a package."""
+    def folder(self, name: str, inside: str = "") -> Path:
+        """Return the folder of a package, from which ``inside`` leads to a file of it."""
         if name in self.given:
             return self.given[name]
         for above in self.above:
             beside = sorted(entry for entry in above.iterdir() if entry.is_dir())
             for folder in (above, *beside):
                 if name == _package_name(folder):
+                    self.given[name] = folder
                     return folder
+        for above in self.above:  # a copied folder may have lost package.xml and name
+            if inside and (above / inside).is_file():
+                self.given[name] = above
+                self.guessed.append(f"{name} is {above}")
+                return above
+        wanted = f", which holds {inside}" if inside else ""
         raise UserError(
             f"Package {name!r} of {self.path} is not found in the {LEVELS} folders above it, nor "
-            f"beside them. Give its folder: --package {name}=FOLDER."
+            f"beside them. Give its folder{wanted}: --package {name}=FOLDER."
         )
 
     def mesh(self, name: str) -> Path:
@@ -217,10 +226,7 @@ class _Packages:
             place = unquote(place)
         if scheme in ("package", "model"):
             package, _, inside = place.partition("/")
-            # A copied folder may have lost its package.xml and its name.
-            folders = [above for above in self.above if (above / inside).is_file()]
-            folder = folders[0] if folders else self.folder(package)
-            file = folder / inside
+            file = self.folder(package, inside) / inside
         else:
             if re.match(r"/[A-Za-z]:/", place):
                 place = place[1:]
