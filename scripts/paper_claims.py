@@ -103,7 +103,7 @@ def judged(supported: Sequence[bool]) -> str:
     """Return a verdict from the cells that support a sentence."""
     count = sum(supported)
     if not count:
-        return f"not found in any of {len(supported)} cells"
+        return "not found"
     return f"found in {count} of {len(supported)} cells"
 
 
