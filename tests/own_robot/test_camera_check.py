@@ -55,7 +55,11 @@ def points(scene) -> dict:
 
 def real_camera(scene, **changes):
     """Return the robot's camera with changes: shift [m], turn_deg, roll_deg, zoom, k1, off."""
-    camera = camera_of(scene.robot, changes.get("aspect", ASPECT))
+    robot = scene.robot
+    if changes.get("on_the_other_side"):
+        x, y, z = robot.camera_position_m
+        robot = replace(robot, camera_position_m=(x, -y, z))
+    camera = camera_of(robot, changes.get("aspect", ASPECT))
     turn = Rotation.from_rotvec(np.radians(changes.get("turn_deg", (0, 0, 0))))
     axes = roll(camera.axes @ turn.as_matrix(), changes.get("roll_deg", 0.0))
     focus = camera.focus * [*[changes.get("zoom", 1.0)] * 2, 1, 1]
@@ -183,6 +187,9 @@ def test_right_cameras_are_accepted_and_wrong_ones_refused_in_nineteen_of_twenty
         ({"turn_deg": (0, 2, 0)}, 0.0),
         ({"k1": -0.3}, 0.0),
         ({"zoom": 0.9}, 0.0),
+        ({"off": 0.05}, 0.0),
+        ({"shift": (0.012, 0, 0)}, 0.0),
+        ({"on_the_other_side": True}, 0.0),
     ],
 )
 def test_cameras_with_clicks_off_by_a_pixel(scene, few_cameras, changes, accepted):

@@ -34,6 +34,7 @@ from knowarm.world.robots import ROBOTS
 from knowarm.world.robots.robot import RealJoint, Robot
 from knowarm.world.scene.compose import STOP_RAD
 from knowarm.world.scene.scene import build_scene, load_scene
+from tests.own_robot.robot_cases import change
 from tests.own_robot.test_repair import drafted
 from tests.world.helpers import EXAMPLES
 
@@ -441,3 +442,36 @@ def test_a_frame_that_moves_with_a_finger_is_not_the_tools() -> None:
 def test_a_light_alone_is_no_tool() -> None:
     gripper = find_gripper(hand('<site name="gripper_led_frame" pos="0 0 .2"/>'))
     assert gripper.fields["tcp_body"] == "link4"
+
+
+BESIDE = {
+    "before it": ("0 0 .06", "0 0 0", [0, 0, 1]),
+    "to one side": (".03 0 .06", "0 0 0", [0, 0, 1]),
+    "to the other side": ("-.03 0 .06", "0 0 0", [0, 0, 1]),
+    "to one side, turned by a right angle": (".06 0 .02", "0 1.5708 0", [0, 0, 1]),
+    "turned a little": ("0 0 .06", "0 .2 0", [0, 0, 1]),
+    "in a frame of its own": ("0 0 .06", ".3 .2 .4", None),
+}
+"""Place and turn of a hand on a wrist that does not roll; where it points, in its own frame."""
+
+
+@pytest.mark.parametrize("name", BESIDE)
+def test_a_hand_beside_a_wrist_that_does_not_roll_points_as_its_frame(
+    name: str,
+) -> None:
+    """The way from the wrist to the fingers of AgileX's Nero is 10 degrees off."""
+    place, turn, points = BESIDE[name]
+    text = change(
+        (
+            '<body name="l6" pos="0 0 .06"><joint name="j6" axis="0 0 1"/>',
+            f'<body name="l6" pos="{place}" euler="{turn}">',
+        )
+    )
+    gripper = find_gripper(mujoco.MjModel.from_xml_string(text))
+    assert gripper.joints[-1] == "j5"
+    w, x, y, z = gripper.fields["tcp_quaternion"]
+    approach = [2 * (x * z + w * y), 2 * (y * z - w * x), w * w - x * x - y * y + z * z]
+    if points is None:
+        assert np.abs(approach).max() < 0.999
+    else:
+        np.testing.assert_allclose(approach, points, atol=1e-4)

@@ -94,6 +94,19 @@ def test_ranges_that_no_arm_has_are_refused_and_the_remedy_works(
     assert check_joints(scene).ok
 
 
+def test_a_urdf_in_degrees_is_refused_and_the_remedy_makes_it_radians(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "arm.urdf").write_text(as_urdf(limit=LIMIT.format(-165, 165)))
+    file, _ = as_mjcf(tmp_path / "arm.urdf", tmp_path / "out")
+    with pytest.raises(UserError, match="Are these degrees or millimetres") as caught:
+        draft_robot(file, ["mug"], {})
+    (setting,) = re.findall("--set '(.*)'", str(caught.value))
+    scene, _ = scene_of_draft(file, monkeypatch, **read_overrides([setting]))
+    np.testing.assert_allclose(scene.joint_lower, np.radians(-165), atol=1e-4)
+    np.testing.assert_allclose(scene.joint_upper, np.radians(165), atol=1e-4)
+
+
 @pytest.mark.parametrize("degrees", [360, 400, 455, 539])
 def test_wrists_that_turn_more_than_once_are_accepted(
     degrees: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -42,6 +42,9 @@ from knowarm.own_robot.poses import Fields
 AGREEING_COSINE = 0.7
 """From this cosine on a site's z axis counts as the approach direction."""
 
+FRAMED_COSINE = 0.999  # Of a joint's axis that is one of a frame's
+NEAR_COSINE = 0.9  # Of an approach that is meant to be one
+
 TOOL_M = 0.05
 """Distance of the tool centre point in front of an arm that ends at its flange [m]."""
 
@@ -313,6 +316,8 @@ def _approach(
     along = axis @ approach
     if abs(along) > 0.3:
         approach = axis * np.sign(along)
+    else:
+        approach = _squared(approach, axis, data.xmat[hand].reshape(3, 3))
     along_centres = centres @ approach
     end = max(along_centres.max(), extent(data, geoms, approach))
     if not fingers:
@@ -327,6 +332,19 @@ def _approach(
             centre = data.geom_xpos[jaw].mean(axis=0)
             middle = (middle + centre) / 2
     return approach, middle + approach * (end - middle @ approach)
+
+
+def _squared(approach: Floats, axis: Floats, frame: Floats) -> Floats:
+    """Return the axis of a hand's frame (3, 3) near its approach, if the last joint's is one too.
+
+    A hand that is mounted beside the wrist still points as its frame does.
+    """
+    shares = approach @ frame
+    nearest = np.abs(shares).argmax()
+    is_framed = np.abs(axis @ frame).max() > FRAMED_COSINE
+    if is_framed and abs(shares[nearest]) > NEAR_COSINE:
+        return np.asarray(frame[:, nearest] * np.sign(shares[nearest]))
+    return approach
 
 
 def _across(data: MjData, moving: Ids, approach: Floats, way: Floats) -> Floats:
