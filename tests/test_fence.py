@@ -176,13 +176,35 @@ def test_time_is_that_of_a_call(second):
         working()
 
 
-def test_a_parser_that_waits_is_ended(monkeypatch):
+def test_a_parser_that_takes_too_long_is_ended(monkeypatch):
     monkeypatch.setattr(fence, "SECONDS", 1)
-    monkeypatch.setattr(fence, "WAIT", 0.5)
-    begin = time.monotonic()
+    monkeypatch.setattr(fence, "WAIT", 0)
     with pytest.raises(ValueError, match="takes more than 0 s"):
-        fenced(time.sleep, 100)
-    assert time.monotonic() - begin < 30
+        fenced(hang)
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="is no Linux")
+def test_a_parser_that_waits_is_ended_at_once():
+    begin = time.monotonic()
+    with pytest.raises(ValueError, match="it waits for a FIFO"):
+        fenced(time.sleep, 300)
+    assert time.monotonic() - begin < 60
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="is no Linux")
+def test_a_thread_that_computes_is_waited_for():
+    def wait():
+        thread = threading.Thread(target=count, daemon=True)
+        thread.start()
+        thread.join()
+        return 3
+
+    def count():
+        end = time.monotonic() + 3 * fence.IDLE
+        while time.monotonic() < end:
+            pass
+
+    assert fenced(wait) == 3
 
 
 def test_a_fork_frees_nothing_that_it_inherits(tmp_path):

@@ -27,6 +27,10 @@ SECONDS = 60.0
 """Processor time of a call, and of any further megabyte of its input [s]."""
 WAIT = 5.0
 """Longest time that a call takes on a machine that others use, in processor times."""
+IDLE = 1.0
+"""Time without computing after which a call waits for a FIFO or device that a file names [s]."""
+LOOK = IDLE / 5
+"""Time between two looks at what a call does [s]."""
 MEMORY = 2 * 2**30
 """Memory beyond that of this process [bytes], beside 200 times the size of the input."""
 STACK = 4 * 2**20
@@ -97,7 +101,8 @@ class Fence:
             self._start()
         try:
             self._pipe.send(arguments)
-            if self._pipe.poll(WAIT * self._seconds):
+            problem = self._wait()
+            if not problem:
                 return self._pipe.recv()
         except (EOFError, ConnectionError):
             limits = f"{self._seconds} s or {self._memory / 2**30:.1f} GiB"
@@ -108,7 +113,22 @@ class Fence:
             self.close()
             raise
         self.close()
-        raise ValueError(f"it takes more than {WAIT * self._seconds:.0f} s")
+        raise ValueError(problem)
+
+    def _wait(self) -> str:
+        """Wait until the process answers or has ended; say why it is waited for no longer."""
+        seconds = WAIT * self._seconds
+        busy = time.monotonic()
+        end = busy + seconds
+        while not self._pipe.poll(LOOK):
+            now = time.monotonic()
+            if not _sleeps(self._process):
+                busy = now
+            if now - busy > IDLE:
+                return "it waits for a FIFO, a device or another program"
+            if now > end:
+                return f"it takes more than {seconds:.0f} s"
+        return ""
 
     def _start(self) -> None:
         self._pipe, there = Pipe()
@@ -141,6 +161,15 @@ def fenced(function: Callable[..., T], *arguments: Any, size: int = 0) -> T:
         return fence()
     with _ROOM, closing(fence):
         return fence()
+
+
+def _sleeps(process: int) -> bool:
+    """Tell whether all threads of a process wait, and not for a disk; only Linux knows."""
+    states = set()
+    for thread in Path(f"/proc/{process}/task").glob("*/stat"):
+        _, _, values = thread.read_text().rpartition(") ")
+        states.add(values[0])
+    return states == {"S"}
 
 
 @cache

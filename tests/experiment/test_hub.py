@@ -103,7 +103,10 @@ class Hub(BaseHTTPRequestHandler):
                     "siblings": [{"rfilename": n} for n in files],
                 }
             )
-        data = files["/".join(parts[4:])]
+        name = "/".join(parts[4:])
+        if name not in files:  # clients leave ".." out of an address
+            name = next(each for each in files if each.endswith(f"/{parts[-1]}"))
+        data = files[name]
         tag = hashlib.sha256(data).hexdigest()
         return self.answer(data, headers={"X-Repo-Commit": COMMIT, "ETag": f'"{tag}"'})
 
@@ -216,6 +219,31 @@ def test_a_pack_is_shared_as_a_file(hub, tmp_path):
     )
     assert unreachable.returncode == 2, unreachable.stdout
     assert "Check the connection" in unreachable.stderr
+
+
+OUTSIDE = (
+    "../stolen.safetensors",
+    "../../../stolen.safetensors",
+    "graphs/../../stolen.ttl",
+    "graphs/../../../../stolen.ttl",
+    "checkpoints/best/../../../stolen.json",
+    "/stolen.safetensors",
+    "{tmp_path}/stolen.safetensors",
+)
+
+
+@pytest.mark.slow(20)
+@pytest.mark.parametrize("name", OUTSIDE)
+def test_a_repository_writes_nothing_outside_of_its_folder(hub, tmp_path, name):
+    name = name.format(tmp_path=tmp_path)
+    Hub.repos["someone/evil"] = {name: b"stolen", "README.md": b"card"}
+    there = tmp_path / "a" / "b" / "there"
+    done = [hub("pull", "someone/evil", "--to", there), hub("pull", "someone/evil")]
+    assert {each.returncode for each in done} <= {0, 2}
+    assert not any("Traceback" in each.stderr for each in done)
+    stolen = [path for path in tmp_path.rglob("*") if path.name.startswith("stolen")]
+    inside = (there, tmp_path / "cache")
+    assert all(any(map(path.is_relative_to, inside)) for path in stolen), stolen
 
 
 @pytest.mark.slow(8)

@@ -11,8 +11,9 @@ import traceback
 import zipfile
 import zlib
 from collections.abc import Callable
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import networkx
@@ -28,6 +29,7 @@ from knowarm.experiment.load import load_agent
 from knowarm.experiment.run import train
 from knowarm.experiment.run_folder import PERCEPTION_FILE, RunFolder
 from knowarm.experiment.summary import read_film, read_table
+from knowarm.fence import Fence
 from knowarm.knowledge import household, read_graph
 from knowarm.knowledge.formats import write_graph
 from knowarm.knowledge.kge import KgeConfig
@@ -77,20 +79,34 @@ class Stall(BaseException):
 
 
 def try_mutations(each: Format, seeds: range) -> list[Failure]:
-    """Read mutations of a format's file; return those that end in a traceback or a stall."""
+    """Read mutations of a format's file; return those that end in a traceback or a stall.
+
+    One fenced process reads all that fits its limits, so that not every file costs a fork. What
+    crosses a limit, or fails there, is read again in this process, which decides.
+    """
     original = each.path.read_bytes()
     failures = []
+    trial = Fence(partial(try_mutation, each, original))
     try:
         for seed in seeds:
-            random = np.random.default_rng((seed, zlib.crc32(each.name.encode())))
-            each.path.write_bytes(
-                mutate(original, random, is_json=each.path.suffix == ".json")
-            )
-            if (what := outcome(lambda: each.read(each.path))) is not None:
+            what: str | None = "it crosses a limit"
+            with suppress(ValueError):
+                what = trial(seed)
+            if what is not None:
+                what = try_mutation(each, original, seed)
+            if what is not None:
                 failures.append(Failure(each.name, seed, what))
     finally:
+        trial.close()
         each.path.write_bytes(original)
     return failures
+
+
+def try_mutation(each: Format, original: bytes, seed: int) -> str | None:
+    """Read a mutation of a format's file; return what failed, or None."""
+    random = np.random.default_rng((seed, zlib.crc32(each.name.encode())))
+    each.path.write_bytes(mutate(original, random, is_json=each.path.suffix == ".json"))
+    return outcome(lambda: each.read(each.path))
 
 
 def outcome(read: Callable[[], object]) -> str | None:

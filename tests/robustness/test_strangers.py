@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 import signal
+import socket
 import sys
 from contextlib import suppress
 from pathlib import Path
@@ -23,6 +24,7 @@ from knowarm.experiment.names import experiment_config
 from knowarm.experiment.run import train
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.experiment.run_lock import is_locked, lock_folder
+from knowarm.knowledge import read_graph
 from knowarm.reading import read_json, write_json
 from knowarm.report import write_report
 from knowarm.study.config import StudyConfig, read_study, write_study
@@ -382,6 +384,73 @@ def test_a_fifo_is_no_input_of_a_command(tmp_path, no_hang, capsys):
     for command in commands:
         assert main(command) == 2, command
         assert capsys.readouterr().err.count("\n") == 1, command
+
+
+def socket_file(path):
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(path))
+
+
+NO_FILES = {
+    "FIFO": lambda path: os.mkfifo(path),  # which Windows lacks
+    "socket": socket_file,
+    "folder": Path.mkdir,
+    "dangling link": lambda path: path.symlink_to(path.parent / "nowhere"),
+    "device": lambda path: path.symlink_to("/dev/zero"),
+}
+MJCF = "<mujoco>%s<worldbody><geom size='1'/></worldbody></mujoco>"
+XACRO = """<robot name="a" xmlns:xacro="http://www.ros.org/wiki/xacro">%s<link name="b"/></robot>"""
+URDF = """<robot name="a"><link name="b"><visual><geometry><mesh filename="%s"/></geometry></visual>
+</link></robot>"""
+INCLUDED = {
+    "part": ("a.xml", MJCF % "<include file='x.xml'/>", "x.xml"),
+    "model": ("a.xml", MJCF % "<asset><model name='m' file='x.xml'/></asset>", "x.xml"),
+    "mesh": ("a.xml", MJCF % "<asset><mesh file='x.stl'/></asset>", "x.stl"),
+    "texture": (
+        "a.xml",
+        MJCF % "<asset><texture type='2d' file='x.png'/></asset>",
+        "x.png",
+    ),
+    "xacro": ("a.xacro", XACRO % "<xacro:include filename='x.xacro'/>", "x.xacro"),
+    "YAML": (
+        "a.xacro",
+        XACRO % "<a>${xacro.load_yaml('x.yaml')}</a>",
+        "x.yaml",
+    ),
+    "URDF mesh": ("a.urdf", URDF % "x.stl", "x.stl"),
+    "COLLADA": ("a.urdf", URDF % "x.dae", "x.dae"),
+    "package": ("a.urdf", URDF % "package://p/x.stl", "package.xml"),
+}
+"""Robots' files of which a part may be no file: name, content and name of the part."""
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="is no Linux")
+@pytest.mark.parametrize("kind", NO_FILES)
+@pytest.mark.parametrize("part", INCLUDED)
+def test_a_part_of_a_robot_that_is_no_file_is_refused_at_once(
+    tmp_path, no_hang, capsys, monkeypatch, part, kind
+):
+    name, text, included = INCLUDED[part]
+    if name.endswith("xacro"):
+        pytest.importorskip("xacro")
+    monkeypatch.chdir(tmp_path)
+    Path(name).write_text(text)
+    NO_FILES[kind](Path(included))
+    assert main(["doctor", "--robot", name]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert error.startswith("knowarm: ")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="Windows has no FIFO")
+@pytest.mark.parametrize("kind", NO_FILES)
+def test_a_part_of_a_split_graph_that_is_no_file_is_no_missing_one(
+    tmp_path, no_hang, kind
+):
+    (tmp_path / "train.txt").write_text("mug\tisA\tcup\n")
+    NO_FILES[kind](tmp_path / "valid.txt")
+    with pytest.raises(UserError, match=r"valid\.txt"):
+        read_graph(tmp_path)
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="Windows has no FIFO")

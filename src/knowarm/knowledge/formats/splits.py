@@ -1,5 +1,6 @@
 """Folders of triples split into train, valid and test: OpenKE's files of ids, or text files."""
 
+import os
 import re
 from collections.abc import Iterator
 from itertools import chain
@@ -40,7 +41,7 @@ def read_parts(folder: Path) -> tuple[KnowledgeGraph, Parts]:
     graphs = {}
     for part in PARTS:
         file = folder / f"{part}.txt"
-        if file.is_file():
+        if os.path.lexists(file):  # what is no file is refused
             graphs[part] = read_table(file, "\t")
             labels.update(graphs[part].labels)
             confidence.update(graphs[part].confidence)
