@@ -12,7 +12,7 @@ import os
 import signal
 import time
 from collections.abc import Callable
-from contextlib import closing
+from contextlib import closing, suppress
 from functools import cache, partial
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
@@ -167,8 +167,9 @@ def _sleeps(process: int) -> bool:
     """Tell whether all threads of a process wait, and not for a disk; only Linux knows."""
     states = set()
     for thread in Path(f"/proc/{process}/task").glob("*/stat"):
-        _, _, values = thread.read_text().rpartition(") ")
-        states.add(values[0])
+        with suppress(FileNotFoundError, ProcessLookupError):  # it has just ended
+            _, _, values = thread.read_text().rpartition(") ")
+            states.add(values[0])
     return states == {"S"}
 
 
