@@ -113,8 +113,9 @@ class Question:
         graph = self.graph
         ends = np.concatenate([graph.heads, graph.tails])
         degrees = Counter(graph.names.at(ends))
-        found = filter(None.__ne__, map(graph.find_entity, self.others))
-        pairs = list(product(graph.names.at(np.array(list(found))), repeat=2))
+        known = map(graph.find_entity, self.others)
+        names = [graph.names[entity] for entity in known if entity is not None]
+        pairs = list(product(names, repeat=2))
         unlike = []
         for first, second in pairs:
             difference = abs(degrees[first] - degrees[old])
