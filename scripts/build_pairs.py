@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from knowarm.experiment.minimal_pairs import VERSIONS, outcomes
+from knowarm.experiment.minimal_pairs import AMONG, OUTCOMES, VERSIONS, outcomes
 from knowarm.experiment.summary import Summary, read_table
 from knowarm.statistics import Interval, bootstrap, holm, mean_of_runs, welch, wilson
 from knowarm.study.config import StudyConfig, read_study
@@ -30,14 +30,7 @@ BASELINE = "irb120-choose-bm-distil"
 CHOSEN = tuple(f"chosen_{name}" for name in VERSIONS)
 TEXTS = ("fact_kind", "fact", "target", "new_answer", "told_answer", *CHOSEN)
 COLUMNS = ("experiment", "test", "seed", "episode", *TEXTS)
-SHARES = {
-    "right": "pair_right",
-    "flips": "goes_to_new",
-    "false flips": "false_flip",
-    "stays": "stays",
-    "follows": "follows",
-    "acts": "acts",
-}
+SHARES = {name.removeprefix("pair_").replace("_", " "): name for name in OUTCOMES}
 """Columns of the table, and the outcomes of which they are the shares."""
 KINDS = {"flips, shown": "shown", "flips, not shown": "not shown"}
 """Strata of the flips."""
@@ -69,7 +62,7 @@ class Run:
     def share(self, outcome: str, kind: str = "") -> Interval | None:
         """Return the share of an outcome, of facts of a kind; None where nothing counts."""
         found = outcomes(self.columns, self.columns["target"])
-        counts = found["has_foreign" if outcome == "follows" else "has_pair"]
+        counts = found[AMONG[outcome]]
         if kind:
             counts = counts & (self.columns["fact_kind"] == kind)
         if not counts.any():
@@ -149,7 +142,7 @@ def table(arms: Arms) -> str:
         pairs = len(runs[0].columns["target"])
         cells = [name_of(experiment, test), str(len(runs)), str(pairs)]
         cells += [percent(mean(runs, outcome)) for outcome in SHARES.values()]
-        cells += [percent(mean(runs, "goes_to_new", kind)) for kind in KINDS.values()]
+        cells += [percent(mean(runs, "flips", kind)) for kind in KINDS.values()]
         lines.append(cells)
     return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
 
@@ -189,13 +182,13 @@ def verdicts(arms: Arms, seeds: Mapping[tuple[str, str], set[int]]) -> list[str]
             complete[key] = arms[key]
     if (BASELINE, "") not in complete:
         return []
-    flips = {key: _values(runs, "goes_to_new") for key, runs in complete.items()}
+    flips = {key: _values(runs, "flips") for key, runs in complete.items()}
     others = [key for key in complete if key != (BASELINE, "")]
     compared = [welch(flips[key], flips[BASELINE, ""]) for key in others]
     adjusted = holm([each.p_value for each in compared])
     lines = []
     for key, against, p in zip(others, compared, adjusted.tolist(), strict=True):
-        false = _values(complete[key], "false_flip")
+        false = _values(complete[key], "false_flips")
         apart = bootstrap(flips[key] - false)
         acts = against.difference.low > 0 and p < 0.05 and apart.low > 0
         verdict = "acts on the fact" if acts else "is not shown to act on the fact"
@@ -213,15 +206,15 @@ def _values(runs: Sequence[Run], outcome: str) -> np.ndarray:
 
 def lead(arms: Arms) -> str:
     """Return the page's first sentence: on the arm with most flips, and the one with fewest."""
-    rates = {key: _values(runs, "goes_to_new").mean() for key, runs in arms.items()}
+    rates = {key: _values(runs, "flips").mean() for key, runs in arms.items()}
     most = max(rates, key=lambda key: rates[key])
     least = min(rates, key=lambda key: rates[key])
     return (
         f"**When one fact is edited, {name_of(*most)} goes to the new answer in "
         f"{100 * rates[most]:.0f} % of the episodes, {name_of(*least)} in "
         f"{100 * rates[least]:.0f} %; when a fact is edited that does not decide, they end "
-        f"elsewhere in {100 * _values(arms[most], 'false_flip').mean():.0f} and "
-        f"{100 * _values(arms[least], 'false_flip').mean():.0f} %.**"
+        f"elsewhere in {100 * _values(arms[most], 'false_flips').mean():.0f} and "
+        f"{100 * _values(arms[least], 'false_flips').mean():.0f} %.**"
     )
 
 
@@ -255,8 +248,8 @@ def figure(arms: Arms) -> str:
     rows = {}
     for (experiment, test), runs in arms.items():
         name = f"{experiment}, {test}" if test else experiment
-        flips = _values(runs, "goes_to_new").tolist()
-        false = _values(runs, "false_flip").tolist()
+        flips = _values(runs, "flips").tolist()
+        false = _values(runs, "false_flips").tolist()
         rows[name] = {"c-blue": flips, "c-orange": false}
     chart = dots(rows, "Flips and false flips by arm", "ends at another object")
     legend = {"flips": "c-blue", "false flips": "c-orange"}

@@ -1,6 +1,5 @@
 """Minimal pairs: an agent that reads the graph acts on every edit, one that does not on none."""
 
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -19,7 +18,13 @@ from knowarm.experiment.evaluation import (
     Subject,
 )
 from knowarm.experiment.load import load_agent
-from knowarm.experiment.minimal_pairs import VERSIONS, PairsProbe, outcomes
+from knowarm.experiment.minimal_pairs import (
+    AMONG,
+    OUTCOMES,
+    VERSIONS,
+    PairsProbe,
+    outcomes,
+)
 from knowarm.knowledge.queries.queries import QueryGraph
 from knowarm.world.agents import Batch, RandomAgent
 from knowarm.world.agents.play import play
@@ -127,17 +132,14 @@ def measured(agent, env, episodes, how=play):
     findings = Findings({})
     PairsProbe().measure(played, findings)
     columns = findings.columns
-    shares = {}
-    for name in ("pair_right", "goes_to_new", "false_flip", "stays", "acts"):
-        shares[name] = columns[name][columns["has_pair"]].mean()
-    shares["follows"] = columns["follows"][columns["has_foreign"]].mean()
+    shares = {name: columns[name][columns[AMONG[name]]].mean() for name in OUTCOMES}
     return shares, columns
 
 
 READS = {
     "pair_right": 1,
-    "goes_to_new": 1,
-    "false_flip": 0,
+    "flips": 1,
+    "false_flips": 0,
     "stays": 1,
     "acts": 1,
     "follows": 1,
@@ -168,10 +170,10 @@ def test_agents_without_physics(monkeypatch):
     shares, columns = measured(Guesser(env, told), env, episodes, chosen_at_once)
     count = columns["has_pair"].sum()
     spread = 4 * np.sqrt(0.25 * 0.75 / count)
-    assert shares["goes_to_new"] == pytest.approx(0.25, abs=spread)
+    assert shares["flips"] == pytest.approx(0.25, abs=spread)
     assert shares["follows"] == pytest.approx(0.25, abs=spread)
     assert shares["pair_right"] == pytest.approx(0.25, abs=spread)
-    assert shares["false_flip"] == pytest.approx(0.75, abs=spread)
+    assert shares["false_flips"] == pytest.approx(0.75, abs=spread)
     assert shares["acts"] < 0.1
     assert shares["stays"] == 0
 
@@ -204,7 +206,7 @@ def test_the_shipped_policy_is_measured_by_the_public_door():
     for name in VERSIONS:
         assert not result.episodes[f"chosen_{name}"][~has_pair].any() or name == "true"
     numbers = result.summary.numbers
-    assert numbers["flips"].estimate == result.episodes["goes_to_new"][has_pair].mean()
+    assert numbers["flips"].estimate == result.episodes["flips"][has_pair].mean()
     assert set(result.summary.groups["fact_kind"]) >= {""}
     assert result.summary.label == "post-training-greedy-s1-stop-pairs"
 

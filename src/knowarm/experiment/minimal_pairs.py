@@ -32,44 +32,18 @@ VERSIONS = {
 }
 """What the agent is told in the versions of an episode; image and question are the same."""
 
-_MEASURES = (
-    Measure("pair_right", "right", "pair_right", among="has_pair"),
-    Measure(
-        "flips",
-        "flips",
-        "goes_to_new",
-        among="has_pair",
-        about="goes to the object that answers after the deciding edit",
-    ),
-    Measure(
-        "false_flips",
-        "false flips",
-        "false_flip",
-        among="has_pair",
-        about="ends elsewhere after the placebo edit than by the true graph",
-    ),
-    Measure(
-        "stays",
-        "stays",
-        "stays",
-        among="has_pair",
-        about="does not move after the removal, when no visible object answers",
-    ),
-    Measure(
-        "follows",
-        "follows",
-        "follows",
-        among="has_foreign",
-        about="goes to the object whose question it is told",
-    ),
-    Measure(
-        "acts",
-        "acts on the fact",
-        "acts",
-        among="has_pair",
-        about="right, flips, and is right after the placebo edit",
-    ),
-)
+OUTCOMES = {
+    "pair_right": "ends at the right object by the true graph",
+    "flips": "ends at new_answer after the deciding edit",
+    "false_flips": "ends elsewhere after the placebo edit than by the true graph",
+    "stays": "does not move after the removal, when no visible object answers",
+    "follows": "ends at told_answer in the version foreign",
+    "acts": "is right by the true graph, flips, and is right after the placebo edit",
+}
+"""Columns of outcomes, and what an agent does where they are true."""
+AMONG = dict.fromkeys(OUTCOMES, "has_pair") | {"follows": "has_foreign"}
+"""Columns of the episodes of which each outcome is a share."""
+_TITLES = {"pair_right": "right", "acts": "acts on the fact"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +55,16 @@ class PairsProbe(BaseProbe):
 
     label = "pairs"
     about = "Play each episode again with one fact edited: minimal pairs."
-    measures = _MEASURES
+    measures = tuple(
+        Measure(
+            name,
+            _TITLES.get(name, name.replace("_", " ")),
+            name,
+            among=AMONG[name],
+            about=about,
+        )
+        for name, about in OUTCOMES.items()
+    )
     column_meanings: ClassVar[dict[str, str]] = {
         "fact_kind": "whether an image shows the fact that decides; empty without a minimal pair",
         "fact": "the triple that decides",
@@ -89,12 +72,7 @@ class PairsProbe(BaseProbe):
         "told_answer": "object whose question the version foreign tells; empty without one",
         "has_pair": "whether the episode has a minimal pair",
         "has_foreign": "whether it has one, and another question",
-        "pair_right": "whether it ends at the right object by the true graph",
-        "goes_to_new": "whether it ends at new_answer after the deciding edit",
-        "false_flip": "whether it ends elsewhere after the placebo edit than by the true graph",
-        "stays": "whether it does not move after the removal",
-        "follows": "whether it ends at told_answer in the version foreign",
-        "acts": "whether it is right, goes to the new answer, and is right after the placebo edit",
+        **OUTCOMES,
     } | {
         f"chosen_{name}": f"object at which it ends, empty if it never moves: {about}"
         for name, about in VERSIONS.items()
@@ -102,7 +80,7 @@ class PairsProbe(BaseProbe):
     table = ReportTable(
         name="minimal-pairs",
         title="Does it act on the fact?",
-        measures=tuple(measure.name for measure in _MEASURES),
+        measures=tuple(OUTCOMES),
         note="Episodes with the same image and question, in which one triple of the graph that the "
         "agent knows is edited: flips, the fact that decides given to another visible object; "
         "false flips, a triple of the same relation and value moved between objects out of sight; "
@@ -160,19 +138,19 @@ def outcomes(columns: Columns, right: Names) -> dict[str, Mask]:
     They are False without a minimal pair.
     """
     has_pair = columns["fact_kind"] != ""
+    has_foreign = has_pair & (columns["told_answer"] != "")
     chosen = {name: columns[f"chosen_{name}"] for name in VERSIONS}
     is_right = has_pair & (chosen["true"] == right)
-    goes_to_new = has_pair & (chosen["deciding"] == columns["new_answer"])
-    has_foreign = has_pair & (columns["told_answer"] != "")
+    flips = has_pair & (chosen["deciding"] == columns["new_answer"])
     return {
         "has_pair": has_pair,
         "has_foreign": has_foreign,
         "pair_right": is_right,
-        "goes_to_new": goes_to_new,
-        "false_flip": has_pair & (chosen["placebo"] != chosen["true"]),
+        "flips": flips,
+        "false_flips": has_pair & (chosen["placebo"] != chosen["true"]),
         "stays": has_pair & (chosen["removal"] == ""),
         "follows": has_foreign & (chosen["foreign"] == columns["told_answer"]),
-        "acts": is_right & goes_to_new & (chosen["placebo"] == right),
+        "acts": is_right & flips & (chosen["placebo"] == right),
     }
 
 

@@ -1,0 +1,166 @@
+"""The page on minimal pairs, recomputed from its CSV file by other code than the page's."""
+
+import csv
+import re
+import subprocess
+import sys
+from collections import defaultdict
+from math import sqrt
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from scripts import build_pairs
+from scripts.build_pairs import Run, page, planned, verdicts
+
+ROOT = Path(__file__).parents[1]
+PAGE = ROOT / "docs" / "results" / "minimal-pairs.md"
+Z = 1.959963984540054  # of a 95 % interval
+
+
+def pairs_by_arm():
+    """Read the lines of the CSV file by arm."""
+    arms = defaultdict(list)
+    with PAGE.with_suffix(".csv").open(encoding="utf-8", newline="") as file:
+        for line in csv.DictReader(file):
+            name = f"`{line['experiment']}`"
+            arms[name + (f", {line['test']}" if line["test"] else "")].append(line)
+    return arms
+
+
+def wilson(hits):
+    """Return a share with Wilson's interval in percent, by the formula."""
+    count, share = len(hits), sum(hits) / len(hits)
+    middle = share + Z * Z / (2 * count)
+    half = Z * sqrt(share * (1 - share) / count + Z * Z / (4 * count * count))
+    low, high = ((middle + sign * half) / (1 + Z * Z / count) for sign in (-1, 1))
+    return [100 * share, 100 * low, 100 * high]
+
+
+def expected(lines):
+    """Recompute the cells of an arm's row."""
+    flips = [line["chosen_deciding"] == line["new_answer"] for line in lines]
+    shown = [line["fact_kind"] == "shown" for line in lines]
+    right = [line["chosen_true"] == line["target"] for line in lines]
+    same = [line["chosen_placebo"] == line["target"] for line in lines]
+    return [
+        right,
+        flips,
+        [line["chosen_placebo"] != line["chosen_true"] for line in lines],
+        [line["chosen_removal"] == "" for line in lines],
+        [
+            line["chosen_foreign"] == line["told_answer"]
+            for line in lines
+            if line["told_answer"]
+        ],
+        [all(each) for each in zip(right, flips, same, strict=True)],
+        [flip for flip, is_shown in zip(flips, shown, strict=True) if is_shown],
+        [flip for flip, is_shown in zip(flips, shown, strict=True) if not is_shown],
+    ]
+
+
+def test_every_number_of_the_table_follows_from_the_lines():
+    arms = pairs_by_arm()
+    rows = re.findall(
+        r"^\| (`.+?) \| 1 \| (\d+) \| (.+) \|$", PAGE.read_text("utf-8"), re.M
+    )
+    assert [name for name, _, _ in rows] == list(arms)
+    for name, count, cells in rows:
+        assert int(count) == len(arms[name])
+        for cell, hits in zip(cells.split(" | "), expected(arms[name]), strict=True):
+            printed = [float(number) for number in re.findall(r"[\d.]+", cell)]
+            assert printed == pytest.approx(wilson(hits), abs=0.051), (name, cell)
+
+
+def test_the_first_sentence_follows_from_the_lines():
+    flips = {
+        name: np.mean(expected(lines)[1]) for name, lines in pairs_by_arm().items()
+    }
+    first = " ".join(PAGE.read_text("utf-8").split("**")[1].split())
+    for pick in (max, min):
+        name = pick(flips, key=flips.get)
+        assert name in first
+        assert re.search(rf"\b{100 * flips[name]:.0f} %", first)
+
+
+def test_page_and_figure_are_what_the_lines_say(tmp_path):
+    out, drawn = tmp_path / "page.md", tmp_path / "figure.svg"
+    command = [
+        sys.executable,
+        "-m",
+        "scripts.build_pairs",
+        "--out",
+        out,
+        "--figure",
+        drawn,
+    ]
+    subprocess.run(command, check=True, cwd=ROOT)
+    assert out.read_text("utf-8") == PAGE.read_text("utf-8")
+    figure = ROOT / "docs" / "images" / "minimal-pairs.svg"
+    assert drawn.read_text("utf-8") == figure.read_text("utf-8")
+
+
+def arm(experiment, seeds, flips, false_flips, pairs=40):
+    """Make runs that flip in a share of the pairs, with noise between seeds."""
+    runs = []
+    rng = np.random.default_rng(len(experiment))
+    for seed in range(seeds):
+        texts = {name: np.full(pairs, "a", "U8") for name in build_pairs.TEXTS}
+        texts["new_answer"][:] = "b"
+        texts["fact_kind"][:] = "shown"
+        texts["told_answer"][:] = "c"
+        texts["chosen_deciding"][rng.random(pairs) < flips] = "b"
+        texts["chosen_placebo"][rng.random(pairs) < false_flips] = "d"
+        runs.append(Run(experiment, "", seed, texts))
+    return runs
+
+
+SEEDS = {
+    ("irb120-choose-bm-distil", ""): set(range(6)),
+    ("acts", ""): set(range(6)),
+    ("restless", ""): set(range(6)),
+    ("deaf", ""): set(range(6)),
+}
+
+
+def made_arms():
+    return {
+        ("irb120-choose-bm-distil", ""): arm("irb120-choose-bm-distil", 6, 0.25, 0.7),
+        ("acts", ""): arm("acts", 6, 0.9, 0.05),
+        ("restless", ""): arm("restless", 6, 0.6, 0.7),
+        ("deaf", ""): arm("deaf", 6, 0.05, 0.02),
+    }
+
+
+def test_an_arm_acts_if_it_flips_more_than_chance_and_than_by_the_placebo():
+    lines = verdicts(made_arms(), SEEDS)
+    decided = dict(
+        re.findall(r"`(\w+)` (acts on|is not shown to act on) the fact", "".join(lines))
+    )
+    assert decided == {
+        "acts": "acts on",
+        "restless": "is not shown to act on",
+        "deaf": "is not shown to act on",
+    }
+
+
+def test_arms_whose_seeds_miss_are_said_to_be_begun_and_nothing_else():
+    arms = made_arms()
+    arms["acts", ""].pop()
+    lines = verdicts(arms, SEEDS)
+    assert not any("`acts`" in line for line in lines)
+    text = page(arms, SEEDS)
+    assert "23 of 24 evaluations are there: begun." in text
+    assert "Training seeds miss in 1 of 4 arms" in text
+    del arms["irb120-choose-bm-distil", ""]
+    assert verdicts(arms, SEEDS) == []
+    assert "not begun" in page({("x-fast", ""): arm("x", 1, 0.5, 0)}, SEEDS)
+
+
+def test_the_declared_arms_are_those_of_the_studies():
+    seeds = planned([build_pairs.read_study(name) for name in build_pairs.STUDIES])
+    assert len(seeds) == 13
+    assert {len(each) for each in seeds.values()} == {20}
+    tests = {test for experiment, test in seeds if "answers-distil" in experiment}
+    assert tests == {"", "stop", "colours", "graph-shuffled"}
