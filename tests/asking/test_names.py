@@ -7,6 +7,7 @@ from knowarm.errors import DataWarning, UserError
 from knowarm.knowledge import graph_of, read_graph
 from knowarm.knowledge.graph.edits import edited
 from knowarm.knowledge.graph.graph import gamma
+from knowarm.knowledge.graph.homonyms import find_objects
 from knowarm.knowledge.graph.names import AmbiguousNameError
 from knowarm.knowledge.graph.terms import literal, name_key
 from knowarm.knowledge.queries.queries import QueryGraph
@@ -252,3 +253,39 @@ def test_what_axioms_of_owl_say_is_asked(tmp_path):
         "teacup",
     }
     assert {n for n, _ in answer(graph, facets, "price < 6").evidence} == {"spoon"}
+
+
+SENSES = [
+    ("mug.n.04", "_hypernym", "drinking_vessel.n.01"),
+    ("mug.v.01", "_hypernym", "rob.v.01"),
+    ("mug.v.01", "_verb_group", "rob.v.02"),
+    ("pitcher.n.01", "_hypernym", "ballplayer.n.01"),
+    ("ballplayer.n.01", "_hypernym", "athlete.n.01"),
+    ("athlete.n.01", "_hypernym", "person.n.01"),
+    ("bowl.n.01", "_hypernym", "vessel.n.03"),
+    ("bowl.n.03", "_hypernym", "crockery.n.01"),
+    ("bowl.n.03", "_has_part", "rim.n.01"),
+    ("clock.v.01", "_hypernym", "time.v.01"),
+]
+
+
+def test_an_object_is_no_verb_no_person_and_none_of_several_senses_of_wordnet():
+    graph = graph_of(SENSES)
+    objects = ("mug", "pitcher", "bowl", "clock")
+    with pytest.warns(DataWarning) as warned:
+        found = find_objects(graph, objects)
+    assert graph.names[found["mug"]] == "mug.n.04"
+    assert (found["pitcher"], found["bowl"], found["clock"]) == (None, None, None)
+    text = " ".join(str(warning.message) for warning in warned)
+    assert "pitcher.n.01 in the graph, of the kind 'person' and no object" in text
+    assert find_objects(graph, ["bowl.n.03"])["bowl.n.03"] is not None
+
+
+def test_senses_are_read_where_nothing_stands_above_them():
+    circle = [
+        ("mug.n.04", "hypernym", "cup.n.01"),
+        ("cup.n.01", "hypernym", "mug.n.04"),
+    ]
+    for triples in (circle, [("mug.n.04", "hasAbility", "fillable")]):
+        graph = graph_of(triples)
+        assert graph.names[find_objects(graph, ["mug"])["mug"]] == "mug.n.04"

@@ -1,4 +1,4 @@
-"""Scene graphs of VirtualHome, Spark-DSG and ConceptGraphs, and nodes with one label."""
+"""Scene graphs of VirtualHome, Spark-DSG, ConceptGraphs and 3DSSG, and nodes with one label."""
 
 import json
 import warnings
@@ -335,3 +335,51 @@ def test_individuals_of_knowrob(tmp_path, capsys):
     assert answers(capsys, path, "is tableware") == {"mug"}
     assert answers(capsys, path, "storagePlaceFor drawer13") == {"mug"}
     assert answers(capsys, path, "storagePlaceFor drawer") == {"mug"}
+
+
+SCAN = {
+    "scan": "a",
+    "objects": {"1": "mug", "2": "table", "7": "mug", "9": "book"},
+    "relationships": [
+        [1, 2, 15, "standing on"],
+        [7, 2, 15, "standing on"],
+        [9, 1, 2, "left"],
+    ],
+}
+LISTED = {
+    "objects": ["mug", "table", "book"],
+    "relationships": [[0, "on", 1], [2, "on", 1]],
+}
+
+
+@pytest.mark.parametrize(
+    ("document", "expected"),
+    [
+        (SCAN, {("mug_1", "standing on", "table_2"), ("mug_7", "standing on", "table_2"),
+                ("book_9", "left", "mug_1")}),
+        ({"scans": [SCAN], "neighbors": {}}, {("mug_7", "standing on", "table_2")}),
+        (LISTED, {("mug_0", "on", "table_1"), ("book_2", "on", "table_1")}),
+        ([LISTED], {("book_2", "on", "table_1")}),
+    ],
+)  # fmt: skip
+def test_objects_named_by_their_classes_alone(tmp_path, document, expected):
+    path = save(tmp_path, document)
+    read = facts(path)
+    assert expected <= read
+    assert ("mug_0" in {head for head, _, _ in read}) == ("scan" not in str(document))
+    assert {tail for _, relation, tail in read if relation == "type"} == {
+        "mug",
+        "table",
+        "book",
+    }
+
+
+def test_things_of_3dssg_are_asked(tmp_path, capsys):
+    assert answers(capsys, save(tmp_path, SCAN), "standing on the table") == {"mug"}
+
+
+def test_one_of_several_scenes_has_to_be_saved(tmp_path):
+    with pytest.raises(UserError, match="holds 2 scenes, each with objects of its own"):
+        read_graph(save(tmp_path, {"scans": [SCAN, SCAN]}))
+    with pytest.raises(UserError, match="holds 3 scenes"):
+        read_graph(save(tmp_path, [LISTED] * 3))

@@ -209,6 +209,37 @@ def _read_things(document: Any, scene: SceneRecords) -> None:
         scene.add_link(record)
 
 
+def _has_names(value: Any) -> bool:
+    """Return whether a value lists objects by their classes alone, and relations of them."""
+    if not has("objects", "relationships")(value):
+        return False
+    objects = value["objects"]
+    names = objects.values() if isinstance(objects, dict) else objects
+    return all(isinstance(name, str) for name in names)
+
+
+def _read_names(document: Any, scene: SceneRecords) -> None:
+    """Read ``[1, 2, 14, "attached to"]`` of 3DSSG, or ``[0, "has", 1]``; lists count objects."""
+    scenes = records_of(document, "scans") or [document]
+    if isinstance(document, list):
+        scenes = document
+    if len(scenes) > 1:
+        raise UserError(
+            f"{scene.where}: holds {len(scenes)} scenes, each with objects of its own. Save one "
+            "of them as a file."
+        )
+    (only,) = scenes
+    objects = only["objects"]
+    if isinstance(objects, list):
+        objects = dict(enumerate(objects))
+    for key, kind in objects.items():
+        scene.add_thing(int(key), kind, {})
+    for link in only["relationships"]:
+        numbers = [cell for cell in link if isinstance(cell, int)]
+        relation = next(cell for cell in link if isinstance(cell, str))
+        scene.relate([numbers[0], relation, numbers[1]])
+
+
 def _ends(relation: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
     """Yield the two objects of a relation of ConceptGraphs, where it describes them."""
     for number in (1, 2):
@@ -233,6 +264,8 @@ SCENES = (
         SceneRecords,
     ),
     _things("VirtualHome", "class_name", "nodes"),
+    Form("3DSSG", _read_names, _has_names, (), SceneRecords),
+    Form("3DSSG", _read_names, _has_names, ("scans",), SceneRecords),
     _things("ConceptGraphs", "object_tag", "objects"),
     _things("ConceptGraphs", "class_name", "objects"),
     _things("ConceptGraphs", "object_tag"),

@@ -4,6 +4,7 @@ Equal letters are no reason: of `Mug` and `mug`, or of `http://a.org/mug` and `h
 the class is meant, or else the one about which more is stated. A `DataWarning` names the others.
 """
 
+import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -25,6 +26,8 @@ _KINDS = tomllib.loads(Path(__file__).with_name("kinds.toml").read_text("utf-8")
 """Last words of classes, of which the file tells; and relations of places."""
 PLACES: str = _KINDS["places"]
 """Pattern of the names of relations that say where something is."""
+_SENSE = re.compile(r"\.([nvasr])\.\d+$")
+"""Sense of WordNet at the end of a name: mug.n.04, and mug.v.01, to rob."""
 _TOLD = 2
 """Most names that are explained in one warning."""
 _OPEN = {"NamedIndividual", "Thing", "Resource"}
@@ -172,8 +175,14 @@ def unhandled(graph: KnowledgeGraph, entity: int) -> str:
     All kinds that tell are of actions or events, or one is of landforms or the like.
     """
     relations = graph.type_relations + graph.is_a_relations + graph.subclass_relations
+    kinds_of_it = graph.names.at(_tails(graph, entity, relations))
+    sense = _SENSE.search(graph.names[entity])
+    if sense:
+        if sense[1] != "n":
+            return "word that is no noun"
+        kinds_of_it += _hypernyms(graph, entity)
     last_words = set()
-    for name in graph.names.at(_tails(graph, entity, relations)):
+    for name in kinds_of_it:
         if not name.startswith("_:"):
             last_words.add(label_of(name, graph.labels).split(" ")[-1])
     telling = last_words.difference(_KINDS["anything"])
@@ -181,6 +190,20 @@ def unhandled(graph: KnowledgeGraph, entity: int) -> str:
     if telling.issubset(_KINDS["deeds"]):
         kinds = telling
     return min(kinds, default="")
+
+
+def _hypernyms(graph: KnowledgeGraph, entity: int) -> list[str]:
+    """Return the words of all senses above one of WordNet: person of dumbbell.n.02."""
+    named = enumerate(graph.relation_names)
+    relations = [index for index, name in named if name.lower().endswith("hypernym")]
+    above = {entity}
+    waiting = [entity]
+    for sense in waiting:
+        for other in _tails(graph, sense, relations).tolist():
+            if other not in above:
+                above.add(other)
+                waiting.append(other)
+    return [_SENSE.sub("", name) for name in graph.names.at(waiting[1:])]
 
 
 def types_of(graph: KnowledgeGraph, entity: int) -> list[int]:
@@ -230,6 +253,8 @@ def _best(
     merits = {}
     for entity in same:
         facts = len(graph.out_rows(entity))
+        if _SENSE.search(graph.names[entity]):
+            facts = 0  # Of pitcher.n.01 and n.02 none is meant the more
         is_object = not unhandled(graph, entity)
         merits[entity] = (is_object, is_class(graph, entity), facts)
     most = max(merits.values())
