@@ -64,6 +64,10 @@ def test_show_what_the_graph_of_an_agent_says_that_is_told_of_questions(
     code, text, _ = run(capsys, "show", "--agent", zoo, "--json", out)
     assert code == 0
     assert "told of questions, not of objects" in text
+    code, text, _ = run(capsys, "show", "--agent", "subgraph")
+    assert code == 0
+    assert "cereal_box" not in text  # of the default objects, those of the graph
+    assert "bottle" in text
     assert "bias" not in text  # what it is told differs by question
     values = json.loads(out.read_text())
     assert ["mug", "usedFor", "drinking"] in values["triples"]

@@ -16,7 +16,7 @@ from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.knows import NoKnowledge
 from knowarm.knowledge import FULL, KnowledgeConfig, KnowledgeGraph, read_graph
-from knowarm.knowledge.graph.homonyms import best_described
+from knowarm.knowledge.graph.homonyms import best_described, find_objects
 from knowarm.knowledge.graph.terms import local_name
 from knowarm.knowledge.slots import graph_facets
 from knowarm.questions import COLOUR_RELATION
@@ -118,16 +118,20 @@ class SceneOptions(TableCommand):
         """Return the settings, the (object, colour) pairs, and the seed that placebos draw from."""
         run = self._run()
         config = self._config(run)
+        objects = self.objects
         if config.scope == "query":
             config = replace(config, detail="partial")
             print(
                 "This agent is told of questions, not of objects. What follows is what its graph "
                 "says about the objects, in any colour."
             )
+            if objects == OBJECTS:
+                described = find_objects(read_graph(config.graph), objects)
+                objects = tuple(name for name in objects if described[name] is not None)
         if run is not None:
             return config, list(facets_of(run.env)), run.seed
         facets: list[tuple[str, str]] = []
-        for name in self.objects:
+        for name in objects:
             if name in TARGETS:
                 colours = tuple(TARGETS[name].colours)
             else:

@@ -293,7 +293,8 @@ class WordLookup:
             return self._hashed(part.label, coverage)
         coverage.missing.update(missing)
         coverage.how[part.label] = kind
-        if not rows and self.on_missing == "error":
+        is_blank = part.name.startswith("_:")  # a node without a name has no words
+        if not rows and self.on_missing == "error" and not is_blank:
             raise UserError(
                 f"No word of the label {part.label!r} (of {part.name!r}) is in {self.name}. "
                 "Give it another word, ",
