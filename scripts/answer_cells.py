@@ -74,11 +74,12 @@ def agent(group: Group) -> Agent:
 
 
 def percent(values: np.ndarray) -> str:
-    """Format a mean of shares with its interval over seeds, if there are several."""
+    """Format a mean of shares with its interval over seeds, where these differ."""
     if len(values) == 1:
         return f"{100 * values[0]:.1f}"
     each = bootstrap(values)
-    return f"{100 * each.estimate:.1f} [{100 * each.low:.1f}, {100 * each.high:.1f}]"
+    mean, low, high = (f"{100 * v:.1f}" for v in (each.estimate, each.low, each.high))
+    return mean if low == high else f"{mean} [{low}, {high}]"
 
 
 def thousands(values: np.ndarray) -> str:

@@ -69,9 +69,8 @@ run](../decisions.md#the-outcomes-of-the-papers-experiment-are-declared-before-i
 
 CURVES = """Begun cells: percent of the best model; *list*, the best fixed list of actions, which
 sees nothing; *frozen*, the network on the first image alone; mean return of the last {count}
-interim evaluations (a million steps). No run is stopped for what it shows; complete or not, a cell
-is published as it stands. Two earlier trainings that were stopped in the drop: [lab
-notes](../lab-notes/a3c.md)."""
+interim evaluations (a million steps). No run is stopped for what it shows. Two earlier trainings
+that were stopped in the drop: [lab notes](../lab-notes/a3c.md)."""
 
 OUTCOMES = {
     "accuracy at 10 cm": ("post-training-greedy", "accuracy", "distance"),
