@@ -345,6 +345,15 @@ def test_xacro_in_a_file_of_another_name_is_expanded(
     np.testing.assert_allclose(model.geom_size[:, 0], 0.03)
 
 
+@pytest.mark.parametrize("tag", ["gazebo", "transmission", "ros2_control"])
+def test_packages_that_only_a_simulator_reads_are_not_searched(
+    tag: str, tmp_path: Path
+) -> None:
+    """JAKA's URDF names a package of MoveIt for the plugin of Gazebo."""
+    part = f"<{tag}><parameters>$(find no_such)/a.yaml</parameters></{tag}></robot>"
+    assert convert(tmp_path, urdf().replace("</robot>", part)).njnt == 5
+
+
 def test_expanded_xacro_that_keeps_the_namespace_is_plain_urdf(tmp_path: Path) -> None:
     body = urdf().partition(">")[2].removesuffix("</robot>")
     (tmp_path / "arm.urdf").write_text(IN_XACRO.format(body))

@@ -35,6 +35,9 @@ XACRO = ".xacro"
 XACRO_MARKS = re.compile(r"[/.]ros\.org/[^\"]*xacro|\$[{(]")
 """Of the namespace of xacro's elements, where there are any, and of its expressions."""
 
+SIMULATION = ("gazebo", "transmission", "ros2_control")
+"""Elements that describe no arm, but may name packages as xacro does."""
+
 MESHES = "meshes"
 LEVELS = 5  # Folders above a file in which and beside which its packages are searched
 MOST_STL_FACES = 200_000  # More are not read by MuJoCo from an STL file
@@ -105,6 +108,8 @@ def _convert(ros: "_Packages", arguments: Sequence[str], file: Path) -> str:
                 cause += "; it holds the markers of an unfinished merge (<<<<<<<)"
             raise UserError(f"{path} is not valid XML: {cause}.") from None
         _refuse_others(root, path)
+        for tag in SIMULATION:
+            _remove(root, tag)
     if is_xacro or (root is not None and _is_xacro(root)):
         root = _expand(ros, _pairs("--xacro", arguments, ":="))
     elif arguments:
