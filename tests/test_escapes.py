@@ -9,8 +9,10 @@ import xml.etree.ElementTree as ElementTree
 
 import pytest
 
-from knowarm.escapes import ESCAPES, csv_cell, latex, markdown
+from knowarm.errors import printable
+from knowarm.escapes import csv_cell, latex, markdown
 from knowarm.report import write_report
+from knowarm.svg import escape
 from tests.source_tree import ROOT
 
 FORMULAS = [
@@ -86,13 +88,13 @@ def test_latex_has_no_command_cell_or_comment_of_the_text(text):
 
 @pytest.mark.parametrize("text", TEXTS, ids=ascii)
 def test_markup_is_the_text_of_its_element(text):
-    element = ElementTree.fromstring(f"<t>{ESCAPES['markup'](text)}</t>")
+    element = ElementTree.fromstring(f"<t>{escape(text)}</t>")
     assert len(element) == 0
 
 
 @pytest.mark.parametrize("text", TEXTS, ids=ascii)
 def test_a_terminal_acts_on_nothing(text):
-    assert ESCAPES["terminal"](text).isprintable()
+    assert printable(text).isprintable()
 
 
 def test_the_csv_of_a_report_on_a_run_of_a_stranger_has_no_formulas(tmp_path):

@@ -192,17 +192,18 @@ def test_a_parser_that_waits_is_ended_at_once():
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="is no Linux")
-def test_a_thread_that_computes_is_waited_for():
+@pytest.mark.parametrize("pause", [0, 0.1])
+def test_a_thread_that_works_is_waited_for(pause):
     def wait():
         thread = threading.Thread(target=count, daemon=True)
         thread.start()
         thread.join()
         return 3
 
-    def count():
-        end = time.monotonic() + 3 * fence.IDLE
+    def count():  # with pauses, as who reads from a slow network
+        end = time.monotonic() + 3 * fence.IDLE * fence.LOOK
         while time.monotonic() < end:
-            pass
+            time.sleep(pause)
 
     assert fenced(wait) == 3
 

@@ -1,10 +1,8 @@
 """Escapes: how each output format holds text that a stranger wrote."""
 
 import re
-from collections.abc import Callable, Mapping
 
 from knowarm.errors import printable
-from knowarm.svg import escape
 
 _FORMULA = re.compile(
     r"(^|[,;|\t\r\n])([\s\xad\ufeff\u200b-\u200f\u202a-\u202e\u2060-\u2064]*)"
@@ -44,13 +42,3 @@ _LATEX = str.maketrans(
 def latex(text: str) -> str:
     """Return text in one line as LaTeX prints it in text mode: no command, cell or comment."""
     return " ".join(printable(text).split()).translate(_LATEX)
-
-
-ESCAPES: Mapping[str, Callable[[str], str]] = {
-    "terminal": printable,
-    "markup": escape,
-    "csv": csv_cell,
-    "markdown": markdown,
-    "latex": latex,
-}
-"""Escape by format: HTML, SVG and XML are markup; JSON, Parquet and ONNX escape by themselves."""

@@ -27,10 +27,10 @@ SECONDS = 60.0
 """Processor time of a call, and of any further megabyte of its input [s]."""
 WAIT = 5.0
 """Longest time that a call takes on a machine that others use, in processor times."""
-IDLE = 1.0
-"""Time without computing after which a call waits for a FIFO or device that a file names [s]."""
-LOOK = IDLE / 5
+LOOK = 0.25
 """Time between two looks at what a call does [s]."""
+IDLE = 5
+"""Looks between which no thread runs: they wait for a FIFO or device that a file names."""
 MEMORY = 2 * 2**30
 """Memory beyond that of this process [bytes], beside 200 times the size of the input."""
 STACK = 4 * 2**20
@@ -118,17 +118,19 @@ class Fence:
     def _wait(self) -> str:
         """Wait until the process answers or has ended; say why it is waited for no longer."""
         seconds = WAIT * self._seconds
-        busy = time.monotonic()
-        end = busy + seconds
-        while not self._pipe.poll(LOOK):
-            now = time.monotonic()
-            if not _sleeps(self._process):
-                busy = now
-            if now - busy > IDLE:
+        idle = 0
+        before = ""
+        for _ in range(math.ceil(seconds / LOOK)):
+            if self._pipe.poll(LOOK):
+                return ""
+            now = _waiting(self._process)
+            idle += 1
+            if not now or now != before:
+                idle = 0
+            before = now
+            if idle == IDLE:
                 return "it waits for a FIFO, a device or another program"
-            if now > end:
-                return f"it takes more than {seconds:.0f} s"
-        return ""
+        return f"it takes more than {seconds:.0f} s"
 
     def _start(self) -> None:
         self._pipe, there = Pipe()
@@ -163,14 +165,18 @@ def fenced(function: Callable[..., T], *arguments: Any, size: int = 0) -> T:
         return fence()
 
 
-def _sleeps(process: int) -> bool:
-    """Tell whether all threads of a process wait, and not for a disk; only Linux knows."""
-    states = set()
-    for thread in Path(f"/proc/{process}/task").glob("*/stat"):
-        with suppress(FileNotFoundError, ProcessLookupError):  # it has just ended
-            _, _, values = thread.read_text().rpartition(") ")
-            states.add(values[0])
-    return states == {"S"}
+def _waiting(process: int) -> str:
+    """Return what Linux counts of a process whose threads all wait, and not for a disk; else "".
+
+    It changes whenever one of them runs, be it for a piece of a file from a slow network.
+    """
+    threads = []
+    with suppress(OSError):  # one of them has ended
+        files = Path(f"/proc/{process}/task").glob("*/status")
+        threads.extend(map(Path.read_text, files))
+    if all("State:\tS" in thread for thread in threads):
+        return "".join(threads)
+    return ""
 
 
 @cache

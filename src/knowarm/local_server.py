@@ -1,6 +1,7 @@
 """HTTP servers that only this machine reaches: their port, and the requests that they refuse."""
 
 import socket
+from collections.abc import Sequence
 from http.server import BaseHTTPRequestHandler
 from typing import Any
 from urllib.parse import urlsplit
@@ -30,17 +31,16 @@ class LocalHandler(BaseHTTPRequestHandler):
         super().end_headers()
 
 
-def listen(port: int) -> socket.socket:
-    """Listen on a port of the loopback interface; 0 takes the first free one of ``PORTS``."""
-    candidates = [port] if port else PORTS
-    for candidate in candidates:
+def listen(ports: Sequence[int], host: str = ADDRESS) -> socket.socket:
+    """Listen on the first port that is free; 0 is one that the system chooses."""
+    for port in ports:
         try:
-            return socket.create_server((ADDRESS, candidate))
+            return socket.create_server((host, port))
         except (OSError, OverflowError) as error:
             reason = getattr(error, "strerror", None) or str(error).rstrip(".")
     raise UserError(
-        f"The server cannot listen on {ADDRESS}, port {candidates[0]}: {reason}. Choose another "
-        "port."
+        f"Cannot listen on {host}, port {ports[0]}: {reason}. Give another port, or stop the "
+        "program that uses it."
     )
 
 
@@ -50,10 +50,10 @@ def refusal(path: str, headers: Any) -> str | None:
     A page of another site that is open in the same browser could otherwise use the server through
     the user's own machine: also by its images and frames, which carry no Origin.
     """
-    hosts = headers.get_all("Host") or []
-    origins = headers.get_all("Origin") or []
-    sites = headers.get_all("Sec-Fetch-Site") or []
-    accepted = ",".join(headers.get_all("Accept") or [])
+    hosts, origins, sites, accepted = (
+        headers.get_all(name) or []
+        for name in ("Host", "Origin", "Sec-Fetch-Site", "Accept")
+    )
     try:
         names = [urlsplit(f"//{host}").hostname for host in hosts]
         urlsplit(path)
@@ -66,7 +66,8 @@ def refusal(path: str, headers: Any) -> str | None:
         "none",
     }:
         return "The request comes from a page of another site."
-    if "image/" in accepted and "text/html" not in accepted:
+    wanted = ",".join(accepted)
+    if "image/" in wanted and "text/html" not in wanted:
         # Old browsers send no Sec-Fetch-Site.
         return "The request is one for an image, and this server has none."
     return None

@@ -6,7 +6,6 @@ import json
 import os
 import secrets
 import shutil
-import stat
 import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -39,7 +38,8 @@ def reading(path: Path, remedy: str) -> Iterator[None]:
     A FIFO, socket or device is refused before it is opened: it could let the reader wait for ever.
     """
     try:
-        _refuse_irregular(path)
+        if path.exists() and not path.is_file() and not path.is_dir():
+            raise OSError(errno.EINVAL, "it is a FIFO, socket or device, and no file")
         yield
     except UserError:
         raise
@@ -80,16 +80,6 @@ def refuse_pointer(path: Path) -> None:
             f"{path} is a web page, and not the file itself. Download the raw file, or clone the "
             "repository."
         )
-
-
-def _refuse_irregular(path: Path) -> None:
-    """Raise `OSError` for what is there and is neither a file nor a folder."""
-    try:
-        kind = stat.S_IFMT(path.stat().st_mode)
-    except OSError:
-        return  # whoever opens it says why
-    if kind not in (stat.S_IFREG, stat.S_IFDIR):
-        raise OSError(errno.EINVAL, "it is a FIFO, socket or device, and no file")
 
 
 @contextmanager

@@ -256,7 +256,7 @@ def test_a_policy_meets_a_graph_in_a_table(capsys, tmp_path):
         ([RUN, "--browser", "--page", "x.html"], "leave out --page"),
         (
             [RUN, "--browser", "--port", "70000"],
-            "cannot listen on 127.0.0.1, port 70000",
+            "Cannot listen on 127.0.0.1, port 70000",
         ),
         ([RUN, "usedFor drinkin"], "Did you mean 'drinking'"),
         ([RUN, "usedFor drinking", "--edit", "mug red"], "must be + or -"),

@@ -377,21 +377,54 @@ def test_other_addresses_need_a_key(parts, capsys, monkeypatch):
     assert "key" in capsys.readouterr().err
 
 
-def test_the_key_is_checked(parts):
+WRONG_KEYS = [
+    "",
+    "Api-Key",
+    "Api-Key None",
+    "Api-Key \xe9",
+    f"Bearer {KEY}",
+    f"api-key {KEY}",
+    f"Api-Key  {KEY}",
+    f"Api-Key {KEY[:-1]}",
+    f"Api-Key {KEY}.",
+    f"Api-Key {KEY.upper()}",
+]
+
+
+def status(server, headers, path=""):
+    """Return the status with which a connection is refused."""
+    with pytest.raises(InvalidStatus) as refused:
+        connect(
+            f"ws://127.0.0.1:{server.port}{path}",
+            compression=None,
+            additional_headers=headers,
+        )
+    return refused.value.response.status_code
+
+
+def test_the_key_is_checked(parts, caplog):
+    caplog.set_level("DEBUG")  # at which websockets names every header
     server = started(parts, key=KEY)
     right = ("Authorization", f"Api-Key {KEY}")
-    for wrong in (
+    wrong = [
         [],
         [("Authorization", KEY)],
         [right, right],
-        [("Authorization", "Api-Key \xe9")],
-    ):
-        with pytest.raises(InvalidStatus) as refused:
-            client(server, additional_headers=wrong)
-        assert refused.value.response.status_code == 401
+        *([("Authorization", text)] for text in WRONG_KEYS),
+        [("X-Api-Key", KEY)],
+        [("Cookie", f"key={KEY}")],
+    ]
     with client(server, additional_headers=[right]) as connection:
         assert unpack(connection.recv())["action_horizon"] == 1
+        for headers in wrong:  # beside a client that has the key
+            assert status(server, headers) == 401
+        for path in (f"/?key={KEY}", f"/{KEY}", f"//x:{KEY}@127.0.0.1"):
+            assert status(server, [], path) == 401
+    assert status(server, []) == 401, "a client that comes again"
     server.close()
+    # Lines that begin with ">" are the client's.
+    assert not [m for m in caplog.messages if KEY in m and not m.startswith(">")]
+    assert "connected" in caplog.text
 
 
 @pytest.mark.parametrize(
@@ -511,15 +544,26 @@ def test_a_long_dtype_is_refused_before_it_is_parsed():
     assert time.monotonic() - began < 1
 
 
-@pytest.mark.parametrize("answers", [0, 1])
+def slowly():
+    """A message in pieces, of which each arrives in time, and the last one never."""
+    while True:
+        yield b"."
+        time.sleep(0.05)
+
+
+@pytest.mark.parametrize(
+    "answers",
+    [[], [pack({})], [slowly()], [pack({}), slowly()]],
+    ids=["nothing", "metadata alone", "slow metadata", "slow answer"],
+)
 def test_a_client_does_not_wait_for_a_silent_server(answers, monkeypatch):
     monkeypatch.setattr("knowarm.deploy.client.METADATA_S", 0.2)
     monkeypatch.setattr("knowarm.deploy.client.ANSWER_S", 0.2)
 
     def reply(connection):
-        if answers:
-            connection.send(pack({}))
-        connection.recv()
+        for answer in answers:
+            connection.send(answer)
+            connection.recv()
         connection.recv()
 
     with serve(reply, "127.0.0.1", 0) as other:

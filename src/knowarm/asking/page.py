@@ -21,7 +21,7 @@ from knowarm.asking.quotes import condition
 from knowarm.asking.tidying.story import Story, read_later, tell
 from knowarm.errors import UserError
 from knowarm.knowledge.graph.edits import edited
-from knowarm.local_server import ADDRESS, LocalHandler, listen, refusal
+from knowarm.local_server import ADDRESS, PORTS, LocalHandler, listen, refusal
 from knowarm.perception.config import Unclear
 from knowarm.pictures import animation, data_uri, encode
 from knowarm.reading import replacing
@@ -263,7 +263,7 @@ def make_server(
         def log_message(self, format: str, *arguments: Any) -> None:
             pass
 
-    listener = listen(port)
+    listener = listen([port] if port else PORTS)
     server = ThreadingHTTPServer(
         listener.getsockname(), Handler, bind_and_activate=False
     )

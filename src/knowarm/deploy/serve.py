@@ -26,7 +26,7 @@ from knowarm.deploy.messages import pack, unpack
 from knowarm.deploy.runner import Runner, Start
 from knowarm.deploy.watch import ImageWatch
 from knowarm.errors import UserError, packages_of
-from knowarm.local_server import LOOPBACK, refusal
+from knowarm.local_server import LOOPBACK, listen, refusal
 
 with packages_of("serve", "Serving"):
     from websockets.exceptions import ConnectionClosed
@@ -51,6 +51,8 @@ ENVIRONMENT = "env_id"
 RESIZE = "resize"
 
 log = logging.getLogger("knowarm.serve")
+_quiet = log.getChild("websockets")
+_quiet.setLevel(logging.WARNING)  # it would log every header, and so the key
 
 
 class _Listener(socket.socket):
@@ -101,7 +103,8 @@ class PolicyServer:
         key: str | None = None,
         resize: bool = False,
     ) -> None:
-        if key is None and host not in LOOPBACK:
+        self._is_local = host in LOOPBACK
+        if key is None and not self._is_local:
             raise UserError(
                 f"Other machines may reach {host}: give a key, or serve on 127.0.0.1 and let "
                 "clients connect through SSH."
@@ -114,25 +117,17 @@ class PolicyServer:
         self._key = key
         self._is_closed = False
         self._resize = resize
-        self._is_local = host in LOOPBACK
         self._seats = threading.BoundedSemaphore(MOST_CONNECTIONS)
         self._computing = threading.Lock()
         play_once(make_runner())
-        try:
-            listener = socket.create_server((host, port))
-            self._server: Server = serve(
-                self._handle,
-                sock=_Listener(fileno=listener.detach()),
-                compression=None,
-                max_size=MOST_BYTES,
-                process_request=self._request,
-            )
-        except (OSError, OverflowError) as error:
-            reason = getattr(error, "strerror", None) or str(error).rstrip(".")
-            raise UserError(
-                f"Cannot listen on {host}, port {port}: {reason}. Give another port, or stop the "
-                "program that uses it."
-            ) from error
+        self._server: Server = serve(
+            self._handle,
+            sock=_Listener(fileno=listen([port], host).detach()),
+            compression=None,
+            max_size=MOST_BYTES,
+            process_request=self._request,
+            logger=_quiet,
+        )
         self.port: int = self._server.socket.getsockname()[1]
 
     def run(self) -> None:

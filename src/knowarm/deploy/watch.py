@@ -1,7 +1,7 @@
 """Watches over a robot's inputs: who publishes them, whose joints they are, and repeated images."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +13,7 @@ BLIND_STEPS = 12  # Changed commands without a new image
 MOST_IMAGES = 1000  # Images that are remembered
 
 
-@dataclass(frozen=True)
-class Publisher:
+class Publisher(NamedTuple):
     """A publisher of a topic: its message type, and whether its quality of service connects."""
 
     kind: str

@@ -46,7 +46,7 @@ from knowarm.reading import (
     replacing,
     write_json,
 )
-from knowarm.world.description import SUFFIX, check_trusted, is_trusted, trust
+from knowarm.world.description import SUFFIX, check_trusted, distrust, trust
 
 FORMAT = 1
 """Version of the run folder's layout."""
@@ -188,7 +188,7 @@ class RunFolder:
             return str(copy)
         if not copy.exists():
             return name
-        if is_trusted(name) and Path(name).exists() and self.copy_of(name) == str(copy):
+        if not distrust(name) and self.copy_of(name) == str(copy):
             trust(str(copy))
         return str(copy)
 

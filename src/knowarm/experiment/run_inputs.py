@@ -50,9 +50,7 @@ def copy_input(name: str, copy: Path) -> None:
     Raises:
         UserError: the copy would need a file elsewhere, or cannot be written.
     """
-    if copy.exists():
-        return
-    if not Path(name).exists():
+    if copy.exists() or not Path(name).exists():
         return
     temporary = copy.parent.with_name(f".{copy.parent.name}.tmp").absolute()
     with writing(copy):

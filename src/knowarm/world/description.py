@@ -45,11 +45,9 @@ def trust(values: Any) -> None:
     What is remembered is a digest of every file that belongs to a description.
     """
     for name in _descriptions(values):
-        try:
+        # A TOML file of another kind, one that cannot be used, or a cache that cannot be written
+        with suppress(UserError):
             files = [Path(name).absolute(), *_model_files(Path(name))]
-        except UserError:
-            continue  # a TOML file of another kind, or one that cannot be used
-        with suppress(UserError):  # a cache that cannot be written
             write_json(_mark(name), {str(file): _digest(file) for file in files})
 
 
@@ -59,7 +57,7 @@ def check_trusted(values: Any, where: Path) -> None:
     MuJoCo compiles the MJCF of a description, which names files at any path.
     """
     for name in _descriptions(values):
-        reason = _distrust(name)
+        reason = distrust(name)
         if reason:
             raise UserError(
                 f"{where} names the description {name!r}, which is trusted like code, and "
@@ -68,18 +66,11 @@ def check_trusted(values: Any, where: Path) -> None:
             )
 
 
-def is_trusted(name: str) -> bool:
-    """Tell whether the user has named a description on this machine, and no file has changed."""
-    return not _distrust(name)
-
-
-def _distrust(name: str) -> str:
-    """Say why a description is not trusted; none of its files is parsed."""
-    mark = _mark(name)
+def distrust(name: str) -> str:
+    """Say why a description is not trusted on this machine, if so; none of its files is parsed."""
     files = {}
-    if mark.exists():
-        with suppress(UserError):
-            files = read_json(mark)
+    with suppress(UserError):  # no mark, or a damaged one
+        files = read_json(_mark(name))
     if not files:
         return "you have not used it on this machine"
     for file, content in files.items():

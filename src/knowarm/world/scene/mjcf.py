@@ -30,19 +30,20 @@ def read_mjcf(path: Path, owner: str, xml: str | None = None) -> mujoco.MjSpec:
         )
     with reading(path, "Give the path of an MJCF file."):
         is_file = path.is_file()
-    if not is_file and path.is_relative_to(menagerie_folder()):
-        raise UserError(
-            f"{owner} needs {str(path)!r} of the MuJoCo Menagerie, and there is no such file. To "
-            f"get it: {HOW_TO_GET}."
-        )
     if not is_file:
-        raise UserError(f"{owner}: mjcf is {str(path)!r}, and there is no such file.")
+        remedy = ""
+        if path.is_relative_to(menagerie_folder()):
+            remedy = f" To get it: {HOW_TO_GET}."
+        raise UserError(
+            f"{owner}: mjcf is {str(path)!r}, and there is no such file.{remedy}"
+        )
     try:
         if not path.is_relative_to(PACKAGE):
             fenced(_compile, path)
         return mujoco.MjSpec.from_file(str(path))
+    except UserError:
+        raise
     except ValueError as error:
-        _refuse_pointers(path)
         raise UserError(
             f"{owner}: mjcf {str(path)!r} does not compile: {one_line(error)}. Correct the file; "
             f"`python -m mujoco.viewer --mjcf={shlex.quote(str(path))}` shows the same error."
@@ -50,21 +51,12 @@ def read_mjcf(path: Path, owner: str, xml: str | None = None) -> mujoco.MjSpec:
 
 
 def _compile(path: Path) -> None:
-    for name in mujoco.mju_getXMLDependencies(str(path)):
-        with reading(Path(name), "Restore the file."):  # no FIFO, which would wait
-            pass
-    mujoco.MjSpec.from_file(str(path)).compile()
-
-
-def _refuse_pointers(path: Path) -> None:
-    """Refuse an MJCF file that, or of which a mesh or texture, is a pointer of Git LFS."""
+    """Compile an MJCF file whose parts are files: no FIFOs, and no pointers of Git LFS."""
     refuse_pointer(path)
-    try:
-        names = fenced(mujoco.mju_getXMLDependencies, str(path))
-    except ValueError:  # of the file itself is said what is wrong
-        return
-    for name in names:
-        refuse_pointer(Path(name))
+    for name in map(Path, mujoco.mju_getXMLDependencies(str(path))):
+        with reading(name, "Restore the file."):
+            refuse_pointer(name)
+    mujoco.MjSpec.from_file(str(path)).compile()
 
 
 _SIZES = "njmax nconmax memory nuserdata"
