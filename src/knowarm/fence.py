@@ -170,12 +170,11 @@ def _waiting(process: int) -> str:
 
     It changes whenever one of them runs, be it for a piece of a file from a slow network.
     """
-    threads = []
     with suppress(OSError):  # one of them has ended
         files = Path(f"/proc/{process}/task").glob("*/status")
-        threads.extend(map(Path.read_text, files))
-    if all("State:\tS" in thread for thread in threads):
-        return "".join(threads)
+        threads = list(map(Path.read_text, files))
+        if all("State:\tS" in thread for thread in threads):
+            return "".join(threads)
     return ""
 
 

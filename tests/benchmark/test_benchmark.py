@@ -331,6 +331,18 @@ def test_a_row_chooses_no_model_to_open(tmp_path):
         assert not is_safe(spec)
 
 
+def test_a_folder_that_a_row_may_name_is_played_as_a_run(tmp_path, monkeypatch):
+    """Whatever else a stranger put into it, or beside it under its name with a prefix."""
+    run = shutil.copytree(ROOT / "zoo/irb120-full-fast", tmp_path / "run")
+    monkeypatch.chdir(tmp_path)
+    for folder in (run, tmp_path / "seen:run"):
+        folder.mkdir(exist_ok=True)
+        (folder / "contract.json").write_text("{}")
+    for spec in ("run", "seen:run"):
+        assert is_safe(spec)
+        assert "irb120-full-fast" in entrant(spec).training
+
+
 def test_the_leaderboard_ranks_by_intervals_and_shows_controls(stored, small):
     weak = run_suite(small, [entrant("zero")], name="zero <b>")
     write_json(stored.parent / "zero.json", weak)

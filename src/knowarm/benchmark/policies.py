@@ -64,12 +64,14 @@ def entrant(spec: str) -> Entrant:
     path = Path(spec)
     if spec in SCRIPTED_AGENTS:
         return _scripted(spec)
+    if spec.startswith(SEEN):
+        return _run(spec.removeprefix(SEEN), solves=True)
+    if _is_run(spec):  # first: a folder of a stranger may hold both
+        return _run(spec)
     if (path / "contract.json").is_file():
         return _exported(spec, path)
     if path.is_dir() or shipped_name(spec):
         return _run(spec)
-    if spec.startswith(SEEN):
-        return _run(spec.removeprefix(SEEN), solves=True)
     if path.suffix == ".onnx":
         return _entrant(spec, OnnxPolicy(path))
     if spec.startswith(("ws://", "wss://")):
@@ -91,9 +93,12 @@ def is_safe(spec: str) -> bool:
         return True
     folder = spec.removeprefix(SEEN)
     is_remote = ":" in folder or folder.startswith(("//", "\\\\"))
-    is_shipped = shipped_name(folder) in POLICIES
-    is_run = is_shipped or (Path(folder) / "config.json").is_file()
-    return not is_remote and is_run
+    return not is_remote and _is_run(folder)
+
+
+def _is_run(folder: str) -> bool:
+    file = Path(folder) / "config.json"
+    return file.is_file() or shipped_name(folder) in POLICIES
 
 
 def _scripted(name: str) -> Entrant:
