@@ -323,9 +323,11 @@ def test_the_served_page_answers_questions_edits_and_mistakes(served):
     assert status == 200
     assert "Answers in the graph" in text
     assert "lamp usedFor lighting</td>" not in text
-    status, text = get(served, "/?q=usedFor+flyng")
+    status, text = get(served, "/?q=usedFor+flyng&scene=3")
     assert status == 200
     assert "Unknown value of usedFor" in text
+    assert 'name="scene" value="3"' in text
+    assert "A scene, with" not in text, "it is not the one of the message"
     assert "Traceback" not in text
     assert get(served, "/", host="evil.example")[0] == 403
     assert get(served, "/other")[0] == 404

@@ -14,7 +14,8 @@ import numpy as np
 import torch
 from scipy.spatial.distance import pdist
 
-from knowarm.asking.answers import Answers, Words, answer, words
+from knowarm.asking.answers import Answers, Words, answer, reading, words
+from knowarm.asking.destinations import read_destination
 from knowarm.asking.judgements import Judgement, Place
 from knowarm.asking.quotes import condition
 from knowarm.errors import UserError, unknown_name
@@ -32,6 +33,7 @@ from knowarm.questions import COLOUR_RELATION, ObjectColour
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.reward import is_success
+from knowarm.world.tasks.sampling import Episodes
 from knowarm.world.viewing.record import Frame, record_episode
 
 EXAMPLES = 6
@@ -44,6 +46,8 @@ LOOKED_AT = 60
 """Of those that show an answer: how many are looked at for a clear one."""
 APART = 0.1
 """Smallest distance of objects in the image of a clear scene, as a share of its side."""
+SCENES_WITH_TRAY = 200
+"""Those that are looked at for one with a tray that a question names."""
 SCENES_WITH_PLACES = 400
 """Those of them that are tried for a question on where things stand."""
 
@@ -87,6 +91,14 @@ class Asked:
     """Whether the arm stayed because the graph does not say where the object belongs."""
     told: str = ""
     """What the agent was told besides the question, such as which tray is which place."""
+    where: str = ""
+    """Where the question says that the object has to be put; by default where it belongs."""
+
+    @property
+    def as_read(self) -> str:
+        """The question as it was read, and where the object has to be put if that is named."""
+        read = self.answers.as_read
+        return f"{read}, to the tray: {self.where}" if self.where else read
 
     @property
     def right(self) -> bool:
@@ -226,6 +238,32 @@ class Asker:
         unclear: Unclear = "seen",
     ) -> Asked:
         """Answer a question and play a scene; see `ask`."""
+        if self._env.config.task.skill.tells_facts:
+            destination = read_destination(question)
+            if destination is not None:
+                what, where, is_sure = destination
+                try:
+                    return self._ask(what, edit, scene, unclear, where)
+                except UserError:
+                    if is_sure or not self._is_understood(question):
+                        raise
+        return self._ask(question, edit, scene, unclear)
+
+    def _is_understood(self, question: str) -> bool:
+        """Return whether a question can be read, as one that names no destination."""
+        with suppress(UserError):
+            return bool(reading(self.graph, self.facets, question, self._names))
+        return False
+
+    def _ask(
+        self,
+        question: str,
+        edit: Sequence[str],
+        scene: int | None,
+        unclear: Unclear,
+        where: str = "",
+    ) -> Asked:
+        """Answer and play; ``where`` names where the object has to be put."""
         answers = [self.answers(question, edit)]
         if scene is None and edit:
             # Without the edits the question may have no answer
@@ -235,13 +273,49 @@ class Asker:
                     answers.insert(0, before)
         scenes = self.scenes(answers) if scene is None else [scene]
         with self._playing:
+            if where:
+                scenes = self._with_tray(answers[-1], scenes, where)
             if scene is None:
                 for number in scenes[:LOOKED_AT]:
                     if self._is_clear(answers[-1], number):
-                        asked = self.play(answers[-1], number, unclear)
+                        asked = self.play(answers[-1], number, unclear, where=where)
                         if asked.right and asked.within:
                             return asked
-            return self.play(answers[-1], scenes[0], unclear)
+            return self.play(answers[-1], scenes[0], unclear, where=where)
+
+    def _with_tray(
+        self, answers: Answers, scenes: Sequence[int], where: str
+    ) -> list[int]:
+        """Return the scenes of some in which a tray or its place has a name.
+
+        Raises:
+            UserError: there is none; it says what trays there are in the first.
+        """
+        running = self._env.running
+        task = self._env.config.task
+        fitting = []
+        for scene in scenes[:SCENES_WITH_TRAY]:
+            self._env.reset(options={"episodes": self._episode(answers, scene)})
+            if task.skill.sent(running, task.asked, 0, where) is not None:
+                fitting.append(scene)
+        if not fitting:
+            self._env.reset(options={"episodes": self._episode(answers, scenes[0])})
+            raise UserError(
+                f"There is no tray {where!r}. In scene {scenes[0]} "
+                f"{task.skill.instruct(running, task.asked, 0)}. Name one of these trays, its "
+                "place, or another scene."
+            )
+        return fitting
+
+    def _episode(self, answers: Answers, scene: int) -> Episodes:
+        """Return the episode of a scene, in which an object that answers is the one meant."""
+        _check_scene(scene)
+        truth = self._truth(answers, scene)
+        order = np.argsort(~truth.satisfies[self._shown[scene]], kind="stable")
+        episode = self._scenes[scene : scene + 1]
+        by_object = ("objects", "names", "colours", "positions")
+        ordered = {name: vars(episode)[name][:, order] for name in by_object}
+        return replace(episode, **ordered)
 
     def answers(self, question: str, edit: Sequence[str] = ()) -> Answers:
         """Answer a question by the graph with edits, among all that the network knows."""
@@ -408,19 +482,19 @@ class Asker:
         scene: int,
         unclear: Unclear = "seen",
         picked: ObjectColour | None = None,
+        where: str = "",
     ) -> Asked:
-        """Play a scene with an agent that looks for the answers, or for the one that is picked."""
-        _check_scene(scene)
+        """Play a scene with an agent that looks for the answers, or for the one that is picked.
+
+        ``where`` names where the object has to be put, in place of where it belongs.
+        """
+        episode = self._episode(answers, scene)
         if unclear not in get_args(Unclear):
             raise unknown_name("value of unclear", unclear, get_args(Unclear))
         truth = self._truth(answers, scene)
         shown = self._shown[scene]
         order = np.argsort(~truth.satisfies[shown], kind="stable")  # an answer first
         shown = shown[order]
-        episode = self._scenes[scene : scene + 1]
-        by_object = ("objects", "names", "colours", "positions")
-        ordered = {name: vars(episode)[name][:, order] for name in by_object}
-        episode = replace(episode, **ordered)
         images, _ = self._env.reset(options={"episodes": episode})
         image = torch.from_numpy(images)
         answers, wanted = self._decide(answers, image)
@@ -431,18 +505,21 @@ class Asker:
         answering = self.trained.answering(
             wanted[None], unclear=unclear, thresholds=self.thresholds
         )
-        agent = self.trained.acting(answering, answers.graph, guesses=False)
-        film = record_episode(agent, self._env, episode)
         end = self._env.running
         task = end.config.task
+        graph = answers.graph
+        if where:
+            graph = task.skill.sent(end, task.asked, 0, where)
+        assert graph is not None
+        agent = self.trained.acting(answering, graph, guesses=False)
+        film = record_episode(agent, self._env, episode)
         infos = task.infos(end)
         is_reached = infos["objects"] == infos["reached_object"][:, None]
         nearest = is_reached.argmax(1)
         distance, angle = end.measure_object(nearest)
         is_near = bool(is_success(distance, angle, *end.limits)[0])
         result = task.skill.result(end, task.asked, 0)
-        assert answers.graph is not None
-        is_solved = bool(task.skill.solved(end, task.asked, answers.graph)[0])
+        is_solved = bool(task.skill.solved(end, task.asked, graph)[0])
         named = self._named(seen.named[0].numpy())
         may_answer = seen.candidates(self.thresholds)[0].tolist()
         side = int(seen.scores.shape[1] ** 0.5)
@@ -464,6 +541,7 @@ class Asker:
             film=tuple(film),
             result=result,
             told=task.skill.instruct(end, task.asked, 0),
+            where=where,
         )
 
 
@@ -484,7 +562,8 @@ def ask(
     Args:
         agent: a run of the choose task with a grounding network, such as
             ``zoo/irb120-choose-answers-fast``, or what `load_agent` returned.
-        question: such as "usedFor drinking and not hasColor blue", or SPARQL.
+        question: such as "usedFor drinking and not hasColor blue", or SPARQL; of an agent that
+            sorts also "put the mug on the blue tray".
         graph: another graph than the run's: a file, or the name of a shipped one.
         edit: a change of the graph, such as "- mug usedFor drinking", or several. The scene is
             then one with another answer than without them, unless ``scene`` is given.

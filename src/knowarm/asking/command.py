@@ -39,7 +39,8 @@ class Ask(TableCommand):
     ] = ""
     """In plain words, "something to drink from that is not blue"; in conditions, "usedFor drinking
     and not hasColor blue", "usedFor (relatedTo tea)", "count hasPart >= 3"; or SPARQL that selects
-    ?object. Optional with --browser."""
+    ?object; of an agent that sorts also with a destination, "put the mug on the blue tray".
+    Optional with --browser."""
     graph: str | None = None
     """Path of another graph, or the name of a shipped one; default: the run's."""
     format: str | None = None
@@ -102,7 +103,8 @@ class Ask(TableCommand):
             if self.unclear == "ask" and asked.stopped:
                 picked = _pick(asked.candidates or asked.named)
                 if picked is not None:
-                    asked = asker.play(asked.answers, asked.scene, picked=picked)
+                    chosen = {"picked": picked, "where": asked.where}
+                    asked = asker.play(asked.answers, asked.scene, **chosen)
                     print(printable(asked.outcome))
         if self.page is not None:
             write_page(Path(self.page), asked, question, self.edit)
@@ -111,6 +113,7 @@ class Ask(TableCommand):
         evidence = asked.answers.evidence
         return {
             "question": asked.answers.question,
+            "where": asked.where,
             "left_out": list(asked.answers.left_out),
             "answers": {"/".join(facet): list(evidence[facet]) for facet in evidence},
             "scene": asked.scene,
@@ -150,7 +153,7 @@ def _print(asked: Asked) -> None:
     """Print the answers with their evidence, the scene and what the arm did."""
     lines = asked.table
     columns = ["object", "colours", "evidence"]
-    print(printable(f"I read this as: {asked.answers.as_read}"))
+    print(printable(f"I read this as: {asked.as_read}"))
     print_table("Answers in the graph", columns, lines[:SHOWN])
     if len(lines) > SHOWN:
         print(f"and {len(lines) - SHOWN} more.")

@@ -162,7 +162,7 @@ def page(
         values.update(
             _pictures(asked), labels=place_labels(asked), reasons=reasons(asked)
         )
-    elif asker is not None:
+    elif asker is not None and not problem:
         image, facets = asker.look(min(scene or 0, SCENES - 1))
         values["image"] = data_uri("PNG", encode(image, "PNG"))
         values["standing"] = ", ".join(map(in_words, facets))
@@ -245,7 +245,6 @@ def make_server(
                     asked = asker.ask(text, lines, number, unclear)
             except UserError as error:
                 problem = str(error)
-                number = None
             return page(asked, text, lines, asker=asker, scene=number, problem=problem)
 
         def _tidy_page(self, fields: dict[str, list[str]]) -> str:

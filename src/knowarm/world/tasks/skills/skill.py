@@ -42,6 +42,8 @@ class Skill(BaseTaskPart):
     """Values of ``EnvConfig.dynamics`` with which it can be simulated."""
     moves_fingers: ClassVar[bool] = False
     """Whether it needs a robot whose fingers move."""
+    tells_facts: ClassVar[bool] = False
+    """Whether `facts` tells something, by which a graph decides where an object has to be put."""
 
     @property
     def draws(self) -> int:
@@ -147,6 +149,15 @@ class Skill(BaseTaskPart):
     def solved(self, state: EpisodeState, asked: Asking, graph: KnowledgeGraph) -> Mask:
         """Return which episodes are solved by what a graph states, in place of the task's, (n,)."""
         return state.success
+
+    def sent(
+        self, state: EpisodeState, asked: Asking, env_id: int, where: str
+    ) -> KnowledgeGraph | None:
+        """Return the graph by which all objects belong at a place that words name.
+
+        None: there is no such place in the episode.
+        """
+        return None
 
     def see(
         self,

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from knowarm.arrays import Floats, Integers, Mask
 from knowarm.errors import UserError
 from knowarm.knowledge import KnowledgeGraph
+from knowarm.knowledge.graph.builder import graph_of
+from knowarm.knowledge.graph.terms import name_key
 from knowarm.measures import Measure
 from knowarm.world.objects.target import COLOURS, Target
 from knowarm.world.robots.robot import Robot
@@ -58,6 +60,7 @@ class Sort(Place):
     questions. The object belongs at exactly one of an episode's places.
     """
 
+    tells_facts = True
     outcomes = (*OUTCOMES, "wrong_tray")
     column_meanings: ClassVar[dict[str, str]] = Place.column_meanings | {
         "placing": f"how the episode ended: {', '.join(OUTCOMES)} or wrong_tray",
@@ -156,6 +159,19 @@ class Sort(Place):
         )
         words = [f"the {colour} tray is the {place}" for colour, place in pairs]
         return "; ".join(words).replace("_", " ")
+
+    def sent(
+        self, state: State, asked: Asking, env_id: int, where: str
+    ) -> KnowledgeGraph | None:
+        """See `Skill.sent`: words name a place, or the colour of its tray."""
+        facts = self.facts(state, asked)
+        places = facts["tray_places"][env_id].tolist()
+        names = (*facts["tray_colours"][env_id].tolist(), *places)
+        for name, place in zip(names, 2 * places, strict=True):
+            if name_key(name) == name_key(where):
+                objects = [target.name for target in state.scene.targets]
+                return graph_of([(name, self.relation, place) for name in objects])
+        return None
 
     def result(self, state: State, asked: Asking, env_id: int) -> str:
         """Say where it is, and on which tray."""
