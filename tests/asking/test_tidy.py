@@ -198,6 +198,16 @@ def test_command_counts_with_a_control(capsys):
     assert "0.0 [0, 66]" in printed
 
 
+def test_a_blind_agent_sees_the_same_in_all_scenes(trained, scenes):
+    named = {}
+    for blind in (True, False):
+        made = Tidying(trained, scenes, read_graph("objects"), blind=blind)
+        with closing(made) as tidying:
+            named[blind] = {tidying.facet(scene, 0) for scene in range(SCENES)}
+    assert len(named[True]) == 1
+    assert len(named[False]) > 1
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -209,6 +219,7 @@ def test_command_counts_with_a_control(capsys):
         ([str(RUN), "--edit", "bell"], "bell"),
         ([str(RUN), "--after", "2: - cow isLocatedIn garden"], "cow"),
         ([str(RUN), "--places", "shuffled"], "--scenes"),
+        ([str(RUN), "--blind"], "--scenes"),
         ([str(RUN), "--scenes", "2", "--after", "1: - a b c"], "leave out"),
     ],
 )

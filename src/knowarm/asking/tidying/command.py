@@ -49,6 +49,8 @@ class Tidy(TableCommand):
     places: Places = "graph"
     """With --scenes, where objects belong by the agent: by the "graph", or controls: by the
     "shuffled" one, or "unknown"."""
+    blind: bool = False
+    """With --scenes, a control: all images that the agent sees are black."""
 
     def result(self) -> dict[str, Any]:
         """Tidy, and print what is done, or counts."""
@@ -58,8 +60,10 @@ class Tidy(TableCommand):
             raise UserError(
                 "--scenes counts, and tells no story: leave out --page and --after."
             )
-        if self.places != "graph" and not self.scenes:
-            raise UserError("--places is a control that counts: add --scenes 100.")
+        if (self.places != "graph" or self.blind) and not self.scenes:
+            raise UserError(
+                "--places and --blind are controls that count: add --scenes 100."
+            )
         later = read_later(self.after)
         trained = load_agent(self.agent)
         graph = standard_graph(trained)
@@ -87,7 +91,8 @@ class Tidy(TableCommand):
         ends = []
         for first in range(0, len(scenes), AT_ONCE):
             some = scenes[first : first + AT_ONCE]
-            with closing(Tidying(trained, some, known)) as tidying:
+            made = Tidying(trained, some, known, blind=self.blind)
+            with closing(made) as tidying:
                 while (tidying.step() >= 0).any():
                     pass
                 ends.append(tidying.judge(graph))
@@ -111,4 +116,5 @@ class Tidy(TableCommand):
             ends_of = f"[{100 * share.low:.0f}, {100 * share.high:.0f}]"
             rows.append([name, f"{100 * share.estimate:.1f} {ends_of}", len(is_so)])
         print_table(f"Tidied by {trained.config.name}", ["what", "%", "of"], rows)
-        return {"scenes": len(scenes), "places": self.places} | values
+        how = {"scenes": len(scenes), "places": self.places, "blind": self.blind}
+        return how | values

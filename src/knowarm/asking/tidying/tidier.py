@@ -65,6 +65,7 @@ class Tidying:
         trained: an agent of a sorting task with a grounding network.
         scenes: episodes of its task, of which the questions are not asked.
         graph: what it knows of where things belong; None: nothing.
+        blind: as a control, whether all images that it sees are black.
 
     Attributes:
         env: the scenes.
@@ -75,7 +76,12 @@ class Tidying:
     """
 
     def __init__(
-        self, trained: TrainedAgent, scenes: Episodes, graph: KnowledgeGraph | None
+        self,
+        trained: TrainedAgent,
+        scenes: Episodes,
+        graph: KnowledgeGraph | None,
+        *,
+        blind: bool = False,
     ) -> None:
         config = trained.config.env
         self.env = ArmVectorEnv(config, len(scenes))
@@ -85,6 +91,7 @@ class Tidying:
         assert trained.network is not None
         self._network = trained.network
         self._trained = trained
+        self._is_blind = blind
         self._rows = np.arange(len(scenes))
         images = self._images()
         self._seen = self._solver.look(images)
@@ -183,8 +190,11 @@ class Tidying:
         return tuple(answer(self._graph, [facet], question).evidence.get(facet, ()))
 
     def _images(self) -> Tensor:
-        """Draw the scenes, (n, H, W, 3)."""
-        return torch.from_numpy(draw_images(self.env.renderer, self.env.running).copy())
+        """Draw the scenes as the agent sees them, (n, H, W, 3)."""
+        images = draw_images(self.env.renderer, self.env.running).copy()
+        if self._is_blind:
+            images[:] = 0
+        return torch.from_numpy(images)
 
     def _bring(
         self, ids: Integers, which: Integers, on_step: Callable[[], None]
