@@ -9,7 +9,6 @@ from knowarm.knowledge.graph.builder import with_triples
 from knowarm.knowledge.graph.terms import local_name
 from knowarm.knowledge.queries.minimal_pairs import MinimalPair, Question
 from knowarm.knowledge.queries.queries import QueryGraph, parse_query
-from knowarm.questions import Condition
 
 GRAPH = shipped_graph("objects")
 COLOURS = ("red", "blue", "green")
@@ -157,8 +156,7 @@ def test_a_fact_that_follows_from_others_has_no_pair(more, has_pair):
 
 def test_facts_that_an_image_shows_are_told_from_others():
     def is_shown(relation):
-        condition = Condition(relation, "v")
-        return MinimalPair(("a", relation, "v"), condition, 1, {}).is_shown
+        return MinimalPair(("urn:x:a", f"urn:x:{relation}", "v"), 1, {}).is_shown
 
     used = {local_name(name) for name in GRAPH.relations_used}
     assert set(filter(is_shown, used)) == {"hasShape", "hasPart"}

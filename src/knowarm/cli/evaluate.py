@@ -38,13 +38,13 @@ from knowarm.experiment.evaluation import (
     FilmsProbe,
     GraphTest,
     HeldOutTest,
-    PairsProbe,
     Places,
     Reasoning,
     ReasoningTest,
     SeenTest,
     SplitTest,
     StepsProbe,
+    optional_probes,
 )
 from knowarm.experiment.other_graphs import meeting, target_names
 from knowarm.experiment.run_lock import is_locked
@@ -57,7 +57,7 @@ from knowarm.perception.config import Unclear
 from knowarm.statistics import Interval
 from knowarm.world.agents import BLIND_AGENTS, SCRIPTED_AGENTS
 from knowarm.world.config import EnvConfig
-from knowarm.world.tasks import find_task, task_probes
+from knowarm.world.tasks import find_task
 from knowarm.world.tasks.probe import BaseProbe
 
 ABOUT = """AGENT is a run folder, or a scripted agent of `knowarm list`, which plays in --env:
@@ -72,7 +72,7 @@ FIRST = (
     "evaluation.angle_deg",
     "conditions.split",
     "conditions.graph",
-    *(f"probes.{probe.kind}" for probe in task_probes()),
+    *(f"probes.{probe.kind}" for probe in optional_probes()),
     "env.robot",
 )
 """The options that `--help` shows."""
@@ -166,8 +166,6 @@ class RecordOptions:
     """Keep joint angles, action, distance and angle of every step."""
     record_films: int = 6
     """Number of episodes, from the first, whose images are kept."""
-    pairs: bool = False
-    """Play each episode again with one fact edited: does the agent act on it?"""
 
     def probes(self) -> list[BaseProbe]:
         """Return the probes."""
@@ -178,9 +176,9 @@ class RecordOptions:
             probes.append(FilmsProbe(episodes=self.record_films))
         if self.blind_episodes:
             probes.append(BlindProbe(episodes=self.blind_episodes))
-        if self.pairs:
-            probes.append(PairsProbe())
-        probes.extend(probe() for probe in task_probes() if getattr(self, probe.kind))
+        probes.extend(
+            probe() for probe in optional_probes() if getattr(self, probe.kind)
+        )
         return probes
 
 
@@ -188,13 +186,13 @@ ProbeOptions: type[RecordOptions] = make_dataclass(
     "ProbeOptions",
     [
         (probe.kind, Annotated[bool, arg(help=probe.about)], field(default=False))
-        for probe in task_probes()
+        for probe in optional_probes()
     ],
     bases=(RecordOptions,),
     frozen=True,
     kw_only=True,
 )
-"""The same with a flag per probe that a part of a task brings."""
+"""The same with a flag per optional probe."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from itertools import islice
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -24,6 +23,7 @@ from knowarm.experiment.minimal_pairs import (
     PairsProbe,
     check_pairs,
     other_questions,
+    told_questions,
 )
 from knowarm.experiment.other_graphs import (
     answers_before_edit,
@@ -41,9 +41,8 @@ from knowarm.questions import Query
 from knowarm.reading import read_toml
 from knowarm.seeding import derive_seed
 from knowarm.statistics import Interval, bootstrap, share_difference, wilson
-from knowarm.world.agents import BLIND_AGENTS, AgentProtocol, Batch
+from knowarm.world.agents import BLIND_AGENTS, AgentProtocol
 from knowarm.world.agents.play import EpisodeResults, play
-from knowarm.world.agents.scripted import InformedAgent
 from knowarm.world.config import EnvConfig, facets_of
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.robots.robot import Robot
@@ -455,15 +454,8 @@ class BlindProbe(BaseProbe):
         """Play the episodes with the questions of other visible objects."""
         questions = other_questions(played.env, episodes, played.seed)
         asked = np.flatnonzero(questions)
-        told = iter(questions[asked].tolist())
-
-        def misinform(batch: Batch) -> Batch:
-            names = list(islice(told, batch.size))
-            names += batch.names[len(names) :].tolist()  # repeats of the last episode
-            return replace(batch, names=np.array(names))
-
         if len(asked):
-            agent = InformedAgent(played.agent, misinform)
+            agent = told_questions(played.agent, played.env, questions[asked])
             result = play(agent, played.env, episodes[asked])
             right = played.result.infos["is_right_object"][asked].astype(float)
             loss = right - result.infos["is_right_object"]
@@ -477,7 +469,12 @@ def share_of(is_so: np.ndarray) -> Interval:
 
 def probe_types() -> list[type[BaseProbe]]:
     """List the probes: those of every evaluation, and those that parts of tasks bring."""
-    return [StepsProbe, FilmsProbe, BlindProbe, PairsProbe, *task_probes()]
+    return [StepsProbe, FilmsProbe, BlindProbe, *optional_probes()]
+
+
+def optional_probes() -> list[type[BaseProbe]]:
+    """List the probes without options that an evaluation has only where it is told so."""
+    return [PairsProbe, *task_probes()]
 
 
 DISTANCE_M = 0.10

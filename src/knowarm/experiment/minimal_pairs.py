@@ -3,18 +3,20 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain, islice, repeat
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 
 from knowarm.arrays import Integers, Mask, Names
 from knowarm.errors import UserError
-from knowarm.experiment.knows import asked
+from knowarm.experiment.knows import asked, row_names
 from knowarm.experiment.other_graphs import check_graph, target_names
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.knowledge.graph.terms import local_name
-from knowarm.knowledge.queries.minimal_pairs import MinimalPair, Question
+from knowarm.knowledge.queries.minimal_pairs import EditKind, MinimalPair, Question
+from knowarm.knowledge.queries.queries import parse_query
 from knowarm.measures import Columns, Measure
+from knowarm.questions import find_rows
 from knowarm.world.agents import Batch
 from knowarm.world.agents.play import EpisodeResults, play
 from knowarm.world.agents.scripted import InformedAgent
@@ -32,6 +34,14 @@ VERSIONS = {
 }
 """What the agent is told in the versions of an episode; image and question are the same."""
 
+TEXTS = {
+    "fact_kind": "whether an image shows the fact that decides; empty without a minimal pair",
+    "fact": "the triple that decides",
+    "new_answer": "object that answers after the deciding edit",
+    "told_answer": "object whose question the version foreign tells; empty without one",
+}
+for _name, _about in VERSIONS.items():
+    TEXTS[f"chosen_{_name}"] = f"where it ends, empty if it never moves: {_about}"
 OUTCOMES = {
     "pair_right": "ends at the right object by the true graph",
     "flips": "ends at new_answer after the deciding edit",
@@ -66,16 +76,10 @@ class PairsProbe(BaseProbe):
         for name, about in OUTCOMES.items()
     )
     column_meanings: ClassVar[dict[str, str]] = {
-        "fact_kind": "whether an image shows the fact that decides; empty without a minimal pair",
-        "fact": "the triple that decides",
-        "new_answer": "object that answers after the deciding edit",
-        "told_answer": "object whose question the version foreign tells; empty without one",
+        **TEXTS,
         "has_pair": "whether the episode has a minimal pair",
         "has_foreign": "whether it has one, and another question",
         **OUTCOMES,
-    } | {
-        f"chosen_{name}": f"object at which it ends, empty if it never moves: {about}"
-        for name, about in VERSIONS.items()
     }
     table = ReportTable(
         name="minimal-pairs",
@@ -91,44 +95,41 @@ class PairsProbe(BaseProbe):
     def measure(self, played: Any, findings: Findings) -> None:
         """Add where the agent ends in each version, and the outcomes, (n,) each."""
         env = played.env
+        agent = played.agent
         episodes = played.episodes
         graph = env.config.task.asked.answering_graph(env.facets)
-        queries = asked(env.config).queries
-        numbers = {query.name: number for number, query in enumerate(queries)}
         pairs = dict(_minimal_pairs(env, episodes, graph, played.seed))
         if not pairs:
             raise UserError(
-                f"None of the {len(episodes)} episodes has a minimal pair: a fact that decides, "
+                f"Of {len(episodes)} episodes none has a minimal pair: a fact that decides, "
                 "and that another visible object could have. Play more episodes."
             )
-        foreign = other_questions(env, episodes, played.seed)
-        told = np.where(foreign == "", episodes.question, foreign)
-        names = np.array([target.name for target in env.scene.targets])
-        columns = {"chosen_true": _chosen(played.result, names)}
         rows = np.array(list(pairs))
-        for version in list(VERSIONS)[1:]:
-            played.report(f"Minimal pairs, {version}: {len(pairs):,} episodes.")
-            known = []
-            for row, pair in pairs.items():
-                if version in pair.edits:
-                    query = queries[numbers[episodes.question[row]]]
-                    edited = pair.edits[version].apply(graph)
-                    known.append(played.know(edited, query))
-                else:
-                    known.append(played.agent.told[numbers[told[row]]])
-            agent = _by_episode(played.agent.telling(known), len(pairs))
-            chosen = _chosen(play(agent, env, episodes[rows]), names)
-            columns[f"chosen_{version}"] = _at(rows, chosen, len(episodes))
+        names = np.array([target.name for target in env.scene.targets])
         visible = names[episodes.objects]
-        kinds = ["shown" if pair.is_shown else "not shown" for pair in pairs.values()]
-        heirs = np.array([pair.heir for pair in pairs.values()])
-        facts = [" ".join(map(local_name, pair.fact)) for pair in pairs.values()]
-        columns["fact_kind"] = _at(rows, np.array(kinds), len(episodes))
-        columns["fact"] = _at(rows, np.array(facts), len(episodes))
-        columns["new_answer"] = _at(rows, visible[rows, heirs], len(episodes))
-        means = _answer(env, episodes, [numbers[name] for name in told])
-        told_answer = np.where(foreign == "", "", visible[np.arange(len(means)), means])
-        columns["told_answer"] = told_answer
+        columns = {}
+        for name in TEXTS:
+            columns[name] = np.full(len(episodes), "", object)
+        columns["chosen_true"][:] = _chosen(played.result, names)
+        for version in get_args(EditKind):
+            played.report(f"Minimal pairs, {version}: {len(pairs):,} episodes.")
+            told = []
+            for row, pair in pairs.items():
+                query = parse_query(episodes.question[row])
+                told.append(played.know(pair.edits[version].apply(graph), query))
+            ended = play(by_episode(agent, told), env, episodes[rows])
+            columns[f"chosen_{version}"][rows] = _chosen(ended, names)
+        questions, answers = _others(env, episodes, played.seed)
+        has_other = np.isin(np.arange(len(episodes)), rows) & (questions != "")
+        if has_other.any():
+            misinformed = told_questions(agent, env, questions[has_other])
+            ended = play(misinformed, env, episodes[has_other])
+            columns["chosen_foreign"][has_other] = _chosen(ended, names)
+        columns["told_answer"][has_other] = visible[has_other, answers[has_other]]
+        for row, pair in pairs.items():
+            columns["fact_kind"][row] = "shown" if pair.is_shown else "not shown"
+            columns["fact"][row] = " ".join(map(local_name, pair.fact))
+            columns["new_answer"][row] = visible[row, pair.heir]
         findings.columns |= columns | outcomes(columns, visible[:, 0])
 
 
@@ -193,29 +194,36 @@ class _Numbered(Batch):
         return self.numbers
 
 
-def _by_episode(agent: Any, count: int) -> InformedAgent:
-    """Return an agent whose rows are those of ``count`` episodes, which are played in order."""
-    numbers = chain(range(count), repeat(count - 1))  # `play` repeats the last one
+def by_episode(agent: Any, told: Sequence[Any]) -> InformedAgent:
+    """Return an agent that is told a row, (D,), for each of some episodes, played in order."""
+    last = len(told) - 1
+    numbers = chain(range(last), repeat(last))  # `play` repeats the last one
 
     def number(batch: Batch) -> Batch:
         own = np.fromiter(islice(numbers, batch.size), np.int64)
         return _Numbered(**vars(batch), numbers=own)
 
-    return InformedAgent(agent, number)
+    return InformedAgent(agent.telling(told), number)
+
+
+def told_questions(agent: Any, env: ArmVectorEnv, questions: Names) -> InformedAgent:
+    """Return an agent that is told other questions of some episodes (n,), played in order."""
+    rows_by_name = {name: row for row, name in enumerate(row_names(env.config))}
+    rows = find_rows("query", questions, rows_by_name)
+    return by_episode(agent, agent.told[rows])
 
 
 def _minimal_pairs(
     env: ArmVectorEnv, episodes: Episodes, graph: KnowledgeGraph, seed: int
 ) -> Iterator[tuple[int, MinimalPair]]:
     """Yield the minimal pairs with the numbers of their episodes."""
-    table = asked(env.config)
-    queries = {query.name: query for query in table.queries}
     targets = target_names(env.config)
     for row, visible in enumerate(_visible(env, episodes).tolist()):
         facets = [env.facets[number] for number in visible]
         seen = {name for name, _ in facets}
         others = [name for name in targets if name not in seen]
-        question = Question(graph, queries[episodes.question[row]], facets, others)
+        query = parse_query(episodes.question[row])
+        question = Question(graph, query, facets, others)
         pair = question.minimal_pair(np.random.default_rng([seed, row]))
         if pair is not None:
             yield row, pair
@@ -224,20 +232,6 @@ def _minimal_pairs(
 def _visible(env: ArmVectorEnv, episodes: Episodes) -> Integers:
     """Return the numbers of the visible facets, (n, m)."""
     return np.asarray(env.running.first_facet[episodes.objects] + episodes.colours)
-
-
-def _answer(env: ArmVectorEnv, episodes: Episodes, queries: Sequence[int]) -> Integers:
-    """Return which visible object answers the query of each episode first, (n,)."""
-    satisfies = asked(env.config).satisfies[np.array(queries)[:, None]]
-    visible = _visible(env, episodes)[:, None]
-    return np.take_along_axis(satisfies, visible, axis=2)[:, 0].argmax(axis=1)
-
-
-def _at(rows: Integers, values: Names, count: int) -> Names:
-    """Return ``count`` texts: the values at their rows, and nothing elsewhere."""
-    texts = np.full(count, "", values.dtype)
-    texts[rows] = values
-    return texts
 
 
 def _chosen(result: EpisodeResults, names: Names) -> Names:
@@ -253,10 +247,16 @@ def other_questions(env: ArmVectorEnv, episodes: Episodes, seed: int) -> Names:
 
     It is one that the task asks; empty where the visible objects allow none.
     """
+    return _others(env, episodes, seed)[0]
+
+
+def _others(env: ArmVectorEnv, episodes: Episodes, seed: int) -> tuple[Names, Integers]:
+    """Return what `other_questions` draws, and which visible object answers it, (n,)."""
     table = asked(env.config)
     answers = table.satisfies[:, _visible(env, episodes)]  # (Q, n, m)
     is_asked = np.asarray(table.askable.any(axis=1))
     fits = (answers.sum(2) == 1) & ~answers[..., 0] & is_asked[:, None]
     drawn = (np.random.default_rng(seed).random(fits.shape) * fits).argmax(0)
     names = np.array([query.name for query in table.queries])
-    return np.where(fits.any(0), names[drawn], "")
+    answering = answers[drawn, np.arange(len(drawn))].argmax(1)
+    return np.where(fits.any(0), names[drawn], ""), answering

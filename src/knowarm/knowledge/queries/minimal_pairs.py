@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import chain, product
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.random import Generator
 
 from knowarm.knowledge.graph.builder import with_triples
 from knowarm.knowledge.graph.graph import KnowledgeGraph, Triple
+from knowarm.knowledge.graph.terms import local_name
 from knowarm.knowledge.queries.queries import QueryGraph
 from knowarm.questions import Condition, ObjectColour, Query
 
@@ -38,14 +39,13 @@ class MinimalPair(NamedTuple):
     """Edits of a graph for one question."""
 
     fact: Triple  # By which the right object answers
-    condition: Condition  # Of the query that it satisfies
     heir: int  # Number of the visible facet that answers after the deciding edit
     edits: dict[EditKind, Edit]
 
     @property
     def is_shown(self) -> bool:
         """Whether an image shows the fact."""
-        return self.condition.relation in SHOWN
+        return local_name(self.fact[1]) in SHOWN
 
 
 @dataclass(frozen=True)
@@ -70,11 +70,8 @@ class Question:
         whose numbers of triples are most like those of the objects of the deciding edit. What every
         edit does to the answers is computed.
         """
-        for condition in self.query.conditions:
-            if not condition.is_seen:
-                for pair in self._pairs(condition, rng):
-                    return pair
-        return None
+        facts = [part for part in self.query.conditions if not part.is_seen]
+        return next(chain.from_iterable(self._pairs(fact, rng) for fact in facts), None)
 
     def answering(self, edit: Edit) -> list[int]:
         """Return the numbers of the visible facets that answer after an edit."""
@@ -105,7 +102,7 @@ class Question:
                         "placebo": placebo,
                         "removal": removal,
                     }
-                    yield MinimalPair(fact, condition, heir, edits)
+                    yield MinimalPair(fact, heir, edits)
                     return
 
     def _alike(self, old: str, new: str, rng: Generator) -> Iterator[tuple[str, str]]:
@@ -116,9 +113,9 @@ class Question:
         known = map(graph.find_entity, self.others)
         names = [graph.names[entity] for entity in known if entity is not None]
         pairs = list(product(names, repeat=2))
-        unlike = []
-        for first, second in pairs:
-            difference = abs(degrees[first] - degrees[old])
-            unlike.append(difference + abs(degrees[second] - degrees[new]))
+        unlike = [
+            abs(degrees[first] - degrees[old]) + abs(degrees[second] - degrees[new])
+            for first, second in pairs
+        ]
         for number in np.lexsort([rng.random(len(pairs)), unlike]):
             yield pairs[number]
