@@ -1,6 +1,7 @@
 """A policy and "see, then solve" on the same network where camera, joint angles or images are off.
 
     python -m benchmarks.perturbed RUN... [--episodes 200] --csv FILE
+    python -m benchmarks.perturbed --csv FILE      # prints the table of the file
 
 Camera: shifted along, or turned about, each of its axes by a uniform draw per episode, up to the
 amount, which is also the root mean square over three axes. Joints: what the inverse kinematics take
@@ -25,6 +26,7 @@ from knowarm.arrays import Integers
 from knowarm.experiment.evaluation import EvaluationConfig, SplitTest, Subject
 from knowarm.experiment.load import TrainedAgent, load_agent
 from knowarm.perception.solving import SolvingAgent
+from knowarm.statistics import wilson
 from knowarm.world.agents.play import EpisodeResults, play
 from knowarm.world.agents.protocol import AgentProtocol, Batch, Observations
 from knowarm.world.agents.scripted import InformedAgent
@@ -38,11 +40,11 @@ COLUMNS = ("run", "agent", "off", "amount", "episodes", "right", "success")
 BOTH = ("policy", "seen")
 CELLS: list[tuple[str, float, tuple[str, ...]]] = [
     ("nothing", 0, BOTH),
-    ("joints [deg]", 2, ("seen",)),
     ("camera [cm]", 2, BOTH),
-    ("images [steps]", 2, ("policy",)),
     ("camera [deg]", 2, BOTH),
+    ("joints [deg]", 2, ("seen",)),
     ("joints [deg]", 1, ("seen",)),
+    ("images [steps]", 2, ("policy",)),
     ("images [steps]", 4, ("policy",)),
     ("camera [cm]", 4, BOTH),
     ("camera [deg]", 4, BOTH),
@@ -142,19 +144,56 @@ def rows() -> Iterator[tuple[str, float, str]]:
             yield off, amount, who
 
 
+def read_rows(path: Path) -> list[dict[str, str]]:
+    """Return the rows of a file; none where there is no file."""
+    if not path.exists():
+        return []
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def table(lines: list[dict[str, str]]) -> str:
+    """Return success (right choices) in percent by run, what is off, and who acts."""
+    cells: dict[tuple[str, str, float], dict[str, str]] = {}
+    for line in lines:
+        count = int(line["episodes"])
+        share = wilson(int(line["success"]), count)
+        right = 100 * int(line["right"]) / count
+        values = [100 * end for end in (share.estimate, share.low, share.high)]
+        text = "{:.1f} [{:.1f}, {:.1f}] ({:.1f})".format(*values, right)
+        key = (line["run"], line["off"], float(line["amount"]))
+        cells.setdefault(key, {})[line["agent"]] = text
+    order = list(dict.fromkeys(off for off, _, _ in CELLS))
+    keys = sorted(cells, key=lambda key: (key[0], order.index(key[1]), key[2]))
+    parts = ["| policy of | off | policy | seen and solved |\n|---|---|---|---|"]
+    for run, off, amount in keys:
+        found = cells[run, off, amount]
+        unit = off.partition("[")[2].strip("]")
+        what = (
+            "nothing" if not amount else f"{off.partition(' ')[0]}, {amount:g} {unit}"
+        )
+        affected = next(who for name, _, who in CELLS if name == off)
+        texts = [
+            found.get(who, "" if who in affected else "unaffected") for who in BOTH
+        ]
+        parts.append(f"| `{run}` | {what} | {texts[0]} | {texts[1]} |")
+    return "\n".join(parts)
+
+
 def main() -> None:
-    """Play the rows that the file lacks, and append them."""
+    """Play the rows that the file lacks, and append them; without runs, print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("runs", type=Path, nargs="+")
+    parser.add_argument("runs", type=Path, nargs="*")
     parser.add_argument("--episodes", type=int, default=200)
     parser.add_argument("--csv", type=Path, required=True)
     given = parser.parse_args()
+    if not given.runs:
+        print(table(read_rows(given.csv)))
+        return
     done = set()
-    if given.csv.exists():
-        with given.csv.open(encoding="utf-8", newline="") as file:
-            for row in csv.DictReader(file):
-                done.add((row["run"], row["agent"], row["off"], float(row["amount"])))
-    else:
+    for row in read_rows(given.csv):
+        done.add((row["run"], row["agent"], row["off"], float(row["amount"])))
+    if not done:
         given.csv.write_text(",".join(COLUMNS) + "\n", encoding="utf-8")
     for run, (off, amount, who) in product(given.runs, rows()):
         name = run.name if run.parent.name == "zoo" else f"{run.parent.name}/{run.name}"
