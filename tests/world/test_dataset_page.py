@@ -2,6 +2,7 @@
 
 import shutil
 
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -38,6 +39,15 @@ def test_a_page_shows_episodes_joints_and_questions(dataset, tmp_path, capsys):
     assert "Episode 2: " not in text
 
 
+TASKS = {
+    "no tasks": lambda file: pq.write_table(pa.table({"task": ["reach"]}), file),
+    "other tasks": lambda file: pq.write_table(
+        pa.table({"task_index": [99], "task": ["reach"]}), file
+    ),
+    "a folder": lambda file: file.mkdir(),
+}
+
+
 def test_what_is_no_dataset_of_images_is_one_line(dataset, tmp_path, capsys):
     page = tmp_path / "page.html"
     for change, words in (
@@ -45,6 +55,10 @@ def test_what_is_no_dataset_of_images_is_one_line(dataset, tmp_path, capsys):
         ("videos", "has no images in its Parquet files"),
         ("cut", "is damaged"),
         ("no names", "info.json is damaged"),
+        ("no tasks", "missing 'task_index'"),
+        ("other tasks", "is damaged"),
+        ("a folder", "is damaged"),
+        ("a joint more", "is damaged"),
     ):
         folder = shutil.copytree(dataset, tmp_path / change)
         info = read_json(folder / "meta/info.json")
@@ -55,6 +69,11 @@ def test_what_is_no_dataset_of_images_is_one_line(dataset, tmp_path, capsys):
             features["observation.image"]["dtype"] = "video"
         elif change == "no names":
             features["observation.state"]["names"] = None
+        elif change == "a joint more":
+            features["observation.state"]["names"].append("seventh")
+        elif change in TASKS:
+            (folder / "meta/tasks.parquet").unlink()
+            TASKS[change](folder / "meta/tasks.parquet")
         else:
             file = folder / "data/chunk-000/file-000.parquet"
             file.write_bytes(file.read_bytes()[:-100])

@@ -89,11 +89,9 @@ def entrant(spec: str) -> Entrant:
 
 def is_safe(spec: str) -> bool:
     """Return whether what plays is a scripted agent or a run folder, which strangers may give."""
-    if spec in SCRIPTED_AGENTS:
-        return True
     folder = spec.removeprefix(SEEN)
     is_remote = ":" in folder or folder.startswith(("//", "\\\\"))
-    return not is_remote and _is_run(folder)
+    return spec in SCRIPTED_AGENTS or (not is_remote and _is_run(folder))
 
 
 def _is_run(folder: str) -> bool:

@@ -88,11 +88,10 @@ writing = partial(writing_file, remedy=REMEDY)
 def read_csv(path: Path) -> list[dict[str, str]]:
     """Read the complete rows of a CSV log; of damaged ones what is readable."""
     with reading(path, "Restore the file, or move it away: a new one is started."):
-        data = path.read_bytes()
-        text = data.decode(errors="replace").replace("\0", "\ufffd")
+        text = path.read_bytes().decode(errors="replace").replace("\0", "\ufffd")
         lines = re.findall(r"[^\n]*\n", text)  # complete ones
         reader = csv.DictReader(lines)
-        if data and "step" not in (reader.fieldnames or ["step"]):
+        if "step" not in (reader.fieldnames or ["step"]):
             raise ValueError("its first line names no column step")
         rows = []
         for row in reader:

@@ -28,15 +28,14 @@ def read_mjcf(path: Path, owner: str, xml: str | None = None) -> mujoco.MjSpec:
             f"{owner}: mjcf is {str(path)!r}, which is no MJCF file. Convert it: "
             f"{shell_command('doctor', '--robot', path, '--write', 'ROBOT.toml')}"
         )
+    remedy = ""
+    if path.is_relative_to(menagerie_folder()):
+        remedy = f" To get it: {HOW_TO_GET}."
     with reading(path, "Give the path of an MJCF file."):
-        is_file = path.is_file()
-    if not is_file:
-        remedy = ""
-        if path.is_relative_to(menagerie_folder()):
-            remedy = f" To get it: {HOW_TO_GET}."
-        raise UserError(
-            f"{owner}: mjcf is {str(path)!r}, and there is no such file.{remedy}"
-        )
+        if not path.is_file():
+            raise UserError(
+                f"{owner}: mjcf is {str(path)!r}, and there is no such file.{remedy}"
+            )
     try:
         if not path.is_relative_to(PACKAGE):
             fenced(_compile, path)

@@ -48,40 +48,41 @@ def write_dataset_page(folder: Path, page: Path, most: int) -> int:
         images = [name for name in features if features[name]["dtype"] == "image"]
         joints = list(features[STATE]["names"])
         units = features[STATE].get("units") or list(repeat("", len(joints)))
-        counts = (info["total_episodes"], info["total_frames"])
+        counts = (int(info["total_episodes"]), int(info["total_frames"]))
         pace_ms = round(1000 / float(info["fps"]))
-    if not images:
-        raise UserError(
-            f"{folder} has no images in its Parquet files, only videos or none: record it by "
-            "`knowarm record`."
-        )
-    columns = {images[0], STATE, "task_index", "episode_index"}
-    tasks = _read(folder / "meta/tasks.parquet").to_pydict()
-    texts = dict(zip(tasks["task_index"], tasks["task"], strict=True))
-    episodes = list(islice(_episodes(folder, columns), most))
-    if not episodes:
-        raise UserError(f"{folder} holds no episodes. {REMEDY}")
-    states = np.concatenate([np.array(frames[STATE]) for frames in episodes])
-    low = states.min(axis=0)
-    high = states.max(axis=0)
-    asked: Counter[str] = Counter()
-    films = []
-    for frames in episodes:
-        question = texts[frames["task_index"][0]]
-        asked[question] += 1
-        with reading(folder, REMEDY):
+    with reading(folder, REMEDY):  # whatever its files hold
+        if not images:
+            raise UserError(
+                f"{folder} has no images in its Parquet files, only videos or none: record it by "
+                "`knowarm record`."
+            )
+        columns = {images[0], STATE, "task_index", "episode_index"}
+        tasks = _read(folder / "meta/tasks.parquet").to_pydict()
+        texts = dict(zip(tasks["task_index"], tasks["task"], strict=True))
+        episodes = list(islice(_episodes(folder, columns), most))
+        if not episodes:
+            raise UserError(f"{folder} holds no episodes. {REMEDY}")
+        states = np.concatenate([np.array(frames[STATE]) for frames in episodes])
+        low = states.min(axis=0)
+        high = states.max(axis=0)
+        ranges = list(zip(joints, units, low.tolist(), high.tolist(), strict=True))
+        asked: Counter[str] = Counter()
+        films = []
+        for frames in episodes:
+            question = texts[frames["task_index"][0]]
+            asked[question] += 1
             film = [_image(cell["bytes"]) for cell in frames[images[0]]]
-        angles = (np.array(frames[STATE]) - low) / np.maximum(high - low, 1e-9)
-        films.append(
-            {
-                "number": frames["episode_index"][0],
-                "question": question,
-                "outcome": OUTCOMES[frames.get("next.success", [None])[-1]],
-                "steps": len(film),
-                "film": data_uri("WEBP", animation(film, pace_ms, LAST_MS)),
-                "lines": Markup(_lines(angles)),
-            }
-        )
+            angles = (np.array(frames[STATE]) - low) / np.maximum(high - low, 1e-9)
+            films.append(
+                {
+                    "number": frames["episode_index"][0],
+                    "question": question,
+                    "outcome": OUTCOMES[frames.get("next.success", [None])[-1]],
+                    "steps": len(film),
+                    "film": data_uri("WEBP", animation(film, pace_ms, LAST_MS)),
+                    "lines": Markup(_lines(angles)),
+                }
+            )
     write_html(
         page,
         "dataset.html.j2",
@@ -89,7 +90,7 @@ def write_dataset_page(folder: Path, page: Path, most: int) -> int:
         counts=counts,
         robot=info.get("robot_type"),
         asked=asked.items(),
-        joints=zip(joints, units, low.tolist(), high.tolist(), strict=True),
+        joints=ranges,
         episodes=films,
     )
     return len(episodes)
@@ -99,10 +100,9 @@ def _episodes(folder: Path, columns: set[str]) -> Iterator[dict[str, list[Any]]]
     """Yield the frames of each episode, a list per column."""
     for file in sorted(folder.glob("data/chunk-*/file-*.parquet")):
         frames = _read(file)
-        with reading(file, REMEDY):
-            missing = columns.difference(frames.column_names)
-            if missing:
-                raise ValueError(f"it lacks the columns {', '.join(missing)}")
+        missing = columns.difference(frames.column_names)
+        if missing:
+            raise ValueError(f"{file} lacks the columns {', '.join(missing)}")
         for number in frames["episode_index"].unique():
             yield frames.filter(pc.field("episode_index") == number).to_pydict()
 
