@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from knowarm.experiment.minimal_pairs import AMONG, OUTCOMES, VERSIONS, outcomes
+from knowarm.experiment.minimal_pairs import OUTCOMES, VERSIONS, outcomes
 from knowarm.experiment.summary import Summary, read_table
 from knowarm.statistics import Interval, bootstrap, holm, mean_of_runs, welch, wilson
 from knowarm.study.config import StudyConfig, read_study
@@ -62,7 +62,7 @@ class Run:
     def share(self, outcome: str, kind: str = "") -> Interval | None:
         """Return the share of an outcome, of facts of a kind; None where nothing counts."""
         found = outcomes(self.columns, self.columns["target"])
-        counts = found[AMONG[outcome]]
+        counts = found["has_foreign" if outcome == "follows" else "has_pair"]
         if kind:
             counts = counts & (self.columns["fact_kind"] == kind)
         if not counts.any():

@@ -404,7 +404,8 @@ def test_the_other_question_is_of_another_visible_object():
     episodes = evaluation_episodes(config, 50, 3)
     table, scene = questions_of(config), env.scene
     rows = {query.name: row for row, query in enumerate(table.queries)}
-    for number, question in enumerate(other_questions(env, episodes, 0)):
+    questions, answering = other_questions(env, episodes, 0)
+    for number, question in enumerate(questions):
         shown = zip(episodes.objects[number], episodes.colours[number], strict=True)
         facets = [(scene.targets[o].name, scene.colour_names[o][c]) for o, c in shown]
         answers = [
@@ -412,3 +413,4 @@ def test_the_other_question_is_of_another_visible_object():
         ]
         assert sum(answers) == 1
         assert not answers[0]
+        assert answers[answering[number]]

@@ -19,7 +19,6 @@ from knowarm.experiment.evaluation import (
 )
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.minimal_pairs import (
-    AMONG,
     OUTCOMES,
     VERSIONS,
     PairsProbe,
@@ -132,7 +131,10 @@ def measured(agent, env, episodes, how=play):
     findings = Findings({})
     PairsProbe().measure(played, findings)
     columns = findings.columns
-    shares = {name: columns[name][columns[AMONG[name]]].mean() for name in OUTCOMES}
+    shares = {}
+    for name in OUTCOMES:
+        counts = columns["has_foreign" if name == "follows" else "has_pair"]
+        shares[name] = columns[name][counts].mean()
     return shares, columns
 
 

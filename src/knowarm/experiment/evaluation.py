@@ -452,7 +452,7 @@ class BlindProbe(BaseProbe):
         findings: Findings,
     ) -> None:
         """Play the episodes with the questions of other visible objects."""
-        questions = other_questions(played.env, episodes, played.seed)
+        questions, _ = other_questions(played.env, episodes, played.seed)
         asked = np.flatnonzero(questions)
         if len(asked):
             agent = told_questions(played.agent, played.env, questions[asked])

@@ -1,22 +1,21 @@
 """Minimal pairs: whether an agent acts on a fact, by episodes that differ in one triple only."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain, islice, repeat
-from typing import Any, ClassVar, Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
 from knowarm.arrays import Integers, Mask, Names
 from knowarm.errors import UserError
-from knowarm.experiment.knows import asked, row_names
+from knowarm.experiment.knows import asked
 from knowarm.experiment.other_graphs import check_graph, target_names
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.knowledge.graph.terms import local_name
 from knowarm.knowledge.queries.minimal_pairs import EditKind, MinimalPair, Question
 from knowarm.knowledge.queries.queries import parse_query
-from knowarm.measures import Columns, Measure
-from knowarm.questions import find_rows
+from knowarm.measures import Columns
 from knowarm.world.agents import Batch
 from knowarm.world.agents.play import EpisodeResults, play
 from knowarm.world.agents.scripted import InformedAgent
@@ -25,35 +24,19 @@ from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.probe import BaseProbe, Findings, ReportTable
 from knowarm.world.tasks.sampling import Episodes
 
-VERSIONS = {
-    "true": "the graph as it is",
-    "deciding": "the fact is another visible object's",
-    "placebo": "a fact of the same relation and value moved between objects out of sight",
-    "removal": "the fact is removed",
-    "foreign": "the question of another visible object",
-}
-"""What the agent is told in the versions of an episode; image and question are the same."""
-
-TEXTS = {
-    "fact_kind": "whether an image shows the fact that decides; empty without a minimal pair",
-    "fact": "the triple that decides",
-    "new_answer": "object that answers after the deciding edit",
-    "told_answer": "object whose question the version foreign tells; empty without one",
-}
-for _name, _about in VERSIONS.items():
-    TEXTS[f"chosen_{_name}"] = f"where it ends, empty if it never moves: {_about}"
-OUTCOMES = {
-    "pair_right": "ends at the right object by the true graph",
-    "flips": "ends at new_answer after the deciding edit",
-    "false_flips": "ends elsewhere after the placebo edit than by the true graph",
-    "stays": "does not move after the removal, when no visible object answers",
-    "follows": "ends at told_answer in the version foreign",
-    "acts": "is right by the true graph, flips, and is right after the placebo edit",
-}
-"""Columns of outcomes, and what an agent does where they are true."""
-AMONG = dict.fromkeys(OUTCOMES, "has_pair") | {"follows": "has_foreign"}
-"""Columns of the episodes of which each outcome is a share."""
-_TITLES = {"pair_right": "right", "acts": "acts on the fact"}
+VERSIONS = ("true", *get_args(EditKind), "foreign")
+"""What the agent is told in the versions of an episode, whose image and question are the same: the
+graph, the graph after an edit, the question of another visible object."""
+TEXTS = (
+    "fact_kind",
+    "fact",
+    "new_answer",
+    "told_answer",
+    *map("chosen_{}".format, VERSIONS),
+)
+"""Columns of text, see ``evaluation.toml``; they are empty without a minimal pair."""
+OUTCOMES = ("pair_right", "flips", "false_flips", "stays", "follows", "acts")
+"""Columns of outcomes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,26 +48,10 @@ class PairsProbe(BaseProbe):
 
     label = "pairs"
     about = "Play each episode again with one fact edited: minimal pairs."
-    measures = tuple(
-        Measure(
-            name,
-            _TITLES.get(name, name.replace("_", " ")),
-            name,
-            among=AMONG[name],
-            about=about,
-        )
-        for name, about in OUTCOMES.items()
-    )
-    column_meanings: ClassVar[dict[str, str]] = {
-        **TEXTS,
-        "has_pair": "whether the episode has a minimal pair",
-        "has_foreign": "whether it has one, and another question",
-        **OUTCOMES,
-    }
     table = ReportTable(
         name="minimal-pairs",
         title="Does it act on the fact?",
-        measures=tuple(OUTCOMES),
+        measures=OUTCOMES,
         note="Episodes with the same image and question, in which one triple of the graph that the "
         "agent knows is edited: flips, the fact that decides given to another visible object; "
         "false flips, a triple of the same relation and value moved between objects out of sight; "
@@ -119,7 +86,7 @@ class PairsProbe(BaseProbe):
                 told.append(played.know(pair.edits[version].apply(graph), query))
             ended = play(by_episode(agent, told), env, episodes[rows])
             columns[f"chosen_{version}"][rows] = _chosen(ended, names)
-        questions, answers = _others(env, episodes, played.seed)
+        questions, answers = other_questions(env, episodes, played.seed)
         has_other = np.isin(np.arange(len(episodes)), rows) & (questions != "")
         if has_other.any():
             misinformed = told_questions(agent, env, questions[has_other])
@@ -138,7 +105,7 @@ def outcomes(columns: Columns, right: Names) -> dict[str, Mask]:
 
     They are False without a minimal pair.
     """
-    has_pair = columns["fact_kind"] != ""
+    has_pair = np.asarray(columns["fact_kind"] != "")
     has_foreign = has_pair & (columns["told_answer"] != "")
     chosen = {name: columns[f"chosen_{name}"] for name in VERSIONS}
     is_right = has_pair & (chosen["true"] == right)
@@ -182,18 +149,6 @@ def check_pairs(subject: Any) -> None:
         )
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Numbered(Batch):
-    """Episodes that have rows of their own."""
-
-    numbers: Integers
-
-    @property
-    def rows(self) -> Integers:
-        """Number of each episode in a list, (n,)."""
-        return self.numbers
-
-
 def by_episode(agent: Any, told: Sequence[Any]) -> InformedAgent:
     """Return an agent that is told a row, (D,), for each of some episodes, played in order."""
     last = len(told) - 1
@@ -201,15 +156,14 @@ def by_episode(agent: Any, told: Sequence[Any]) -> InformedAgent:
 
     def number(batch: Batch) -> Batch:
         own = np.fromiter(islice(numbers, batch.size), np.int64)
-        return _Numbered(**vars(batch), numbers=own)
+        return replace(batch, own_rows=own)
 
     return InformedAgent(agent.telling(told), number)
 
 
 def told_questions(agent: Any, env: ArmVectorEnv, questions: Names) -> InformedAgent:
     """Return an agent that is told other questions of some episodes (n,), played in order."""
-    rows_by_name = {name: row for row, name in enumerate(row_names(env.config))}
-    rows = find_rows("query", questions, rows_by_name)
+    rows = Batch(env=env.config, names=questions).rows
     return by_episode(agent, agent.told[rows])
 
 
@@ -220,8 +174,7 @@ def _minimal_pairs(
     targets = target_names(env.config)
     for row, visible in enumerate(_visible(env, episodes).tolist()):
         facets = [env.facets[number] for number in visible]
-        seen = {name for name, _ in facets}
-        others = [name for name in targets if name not in seen]
+        others = [name for name in targets if name not in dict(facets)]
         query = parse_query(episodes.question[row])
         question = Question(graph, query, facets, others)
         pair = question.minimal_pair(np.random.default_rng([seed, row]))
@@ -242,16 +195,14 @@ def _chosen(result: EpisodeResults, names: Names) -> Names:
     return np.where(moved, names[result.infos["reached_object"]], "")
 
 
-def other_questions(env: ArmVectorEnv, episodes: Episodes, seed: int) -> Names:
+def other_questions(
+    env: ArmVectorEnv, episodes: Episodes, seed: int
+) -> tuple[Names, Integers]:
     """Draw a question that exactly one visible object answers, another than the right one, (n,).
 
-    It is one that the task asks; empty where the visible objects allow none.
+    It is one that the task asks; empty where the visible objects allow none. The second array is
+    the number of the visible object that answers it.
     """
-    return _others(env, episodes, seed)[0]
-
-
-def _others(env: ArmVectorEnv, episodes: Episodes, seed: int) -> tuple[Names, Integers]:
-    """Return what `other_questions` draws, and which visible object answers it, (n,)."""
     table = asked(env.config)
     answers = table.satisfies[:, _visible(env, episodes)]  # (Q, n, m)
     is_asked = np.asarray(table.askable.any(axis=1))

@@ -35,6 +35,8 @@ class Batch:
     """Triples that replace the agent's own graph in these episodes."""
     facts: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     """What else the task tells of each episode, (n, ...); see `Skill.facts`."""
+    own_rows: Integers | None = None
+    """Rows of an agent that is told each episode apart, (n,); None: those of the names."""
 
     @classmethod
     def of(cls, env: ArmVectorEnv) -> Self:
@@ -57,6 +59,8 @@ class Batch:
     @property
     def rows(self) -> Integers:
         """Row of each episode's facet or query among ``task.asked.knowledge_rows``, (n,)."""
+        if self.own_rows is not None:
+            return self.own_rows
         task = self.env.task
         names = task.asked.knowledge_rows(facets_of(self.env))
         rows = {name: row for row, name in enumerate(names)}
