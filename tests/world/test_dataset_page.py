@@ -8,6 +8,7 @@ import pytest
 
 from knowarm.cli.main import main
 from knowarm.reading import read_json, write_json
+from knowarm.world.viewing.dataset import COLOURS
 
 
 @pytest.fixture(scope="module")
@@ -33,8 +34,12 @@ def test_a_page_shows_episodes_joints_and_questions(dataset, tmp_path, capsys):
     for task in (*first, *second):
         assert f"<td>{task}</td>" in text
     info = read_json(dataset / "meta/info.json")
-    for joint in info["features"]["observation.state"]["names"]:
-        assert f"<td>{joint}</td>" in text
+    for joint, colour in zip(
+        info["features"]["observation.state"]["names"], COLOURS, strict=False
+    ):
+        mark = f'<i class="swatch c-{colour}" aria-hidden="true"></i>'
+        assert f"<td>{mark}{joint}</td>" in text
+        assert text.count(f'<g class="c-{colour}">') == 2
     assert "Episode 1: " in text
     assert "Episode 2: " not in text
 

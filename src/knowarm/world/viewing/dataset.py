@@ -28,7 +28,7 @@ HEIGHT = 120
 LAST_MS = 1_500  # display time of a film's last image
 OUTCOMES = {True: ", reached", False: ", failed", None: ""}
 COLOURS = ("blue", "orange", "green", "purple", "teal", "pink", "gold", "brown")
-"""Classes of the joints' lines, in order."""
+"""Classes of the lines and marks of joints, in order."""
 
 
 def is_dataset(folder: Path | str) -> bool:
@@ -90,6 +90,7 @@ def write_dataset_page(folder: Path, page: Path, most: int) -> int:
         counts=counts,
         robot=info.get("robot_type"),
         asked=asked.items(),
+        colours=COLOURS,
         joints=ranges,
         episodes=films,
     )
@@ -121,7 +122,7 @@ def _lines(angles: Floats) -> str:
     x = np.linspace(0, WIDTH, len(angles))
     lines = []
     for joint, colour in zip(angles.T, cycle(COLOURS), strict=False):
-        points = np.stack([x, HEIGHT - joint * HEIGHT], 1).tolist()
-        line = path([*map(tuple, points)], class_="line")
+        points = np.stack([x, HEIGHT * (1 - joint)], 1).tolist()
+        line = path(points, class_="line")
         lines.append(element("g", line, class_=f"c-{colour}"))
     return drawing(WIDTH, HEIGHT, "Joint angles over time", *lines)
