@@ -6,6 +6,7 @@ python -m scripts.freeze_suites reach-v1
 import sys
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from typing import get_args
 
 from knowarm.benchmark.freezing import SEED, freeze, freeze_cell
@@ -17,6 +18,12 @@ from knowarm.knowledge.graph.damage import Damage, damaged
 
 REACH = {"fixed": "bm", "randomized": "bm-dr"}
 SPLITS: tuple[Split, ...] = ("S1", "S2", "S3", "S4", "S5")
+GROUPS = {"pick": "choose-lift", "place": "choose-sort"}
+"""Tasks among solid objects, by the name of their tables."""
+SOLID_SPLITS: tuple[Split, ...] = ("S1", "S5")
+SOLID_EPISODES = 100
+SOLID_CONTROLS = 50
+"""Episodes of their cells, and those of controls; contacts cost a third of a second each."""
 
 _report = partial(print, flush=True)
 
@@ -71,7 +78,34 @@ def damaged_graph() -> Suite:
     return freeze("damaged-graph-v1", about, cells)
 
 
-SUITES = {"reach-v1": reach, "choose-v1": choose, "damaged-graph-v1": damaged_graph}
+def pick_and_place() -> Suite:
+    """Lift, or put where it belongs, one of four solid objects: splits S1 and S5."""
+    cells = []
+    for robot, group in product(("irb120", "tiago"), GROUPS):
+        env = experiment_config(f"{robot}-{GROUPS[group]}-answers-seen").env
+        listed = None
+        for split in SOLID_SPLITS:
+            how = EvaluationConfig(
+                distance_m=0.05, angle_deg=15.0, test=(SplitTest(split=split),)
+            )
+            name = f"{robot}-{group}-{split}"
+            drawn = freeze_cell(name, env, how, SOLID_EPISODES, _report, listed)
+            listed = drawn.open_loop  # asked or not, the same objects stand there
+            cells.append(replace(drawn, group=group))
+    about = (
+        "Lift the solid object, of four, that a query describes (pick), or put it on the tray of "
+        "the place where the graph says that it belongs (place). S1: new layouts; S5: an "
+        "edited graph."
+    )
+    return freeze("pick-and-place-v1", about, cells, control_episodes=SOLID_CONTROLS)
+
+
+SUITES = {
+    "reach-v1": reach,
+    "choose-v1": choose,
+    "damaged-graph-v1": damaged_graph,
+    "pick-and-place-v1": pick_and_place,
+}
 
 if __name__ == "__main__":
     for name in sys.argv[1:]:

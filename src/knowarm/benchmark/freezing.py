@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from safetensors.numpy import save
 
+from knowarm.arrays import Integers
 from knowarm.benchmark.suites import FILE, Cell, Suite, input_digest, parse_suite
 from knowarm.config import to_dict
 from knowarm.errors import UserError
@@ -34,6 +35,7 @@ def freeze_cell(
     how: EvaluationConfig,
     episodes: int = EPISODES,
     report: Callable[[str], None] = lambda line: None,
+    listed: Integers | None = None,
 ) -> Cell:
     """Draw the episodes of a cell, search its fixed list, and let the oracle play.
 
@@ -43,10 +45,12 @@ def freeze_cell(
         how: thresholds, and the split of the questions.
         episodes: number of episodes.
         report: receives a line with the scores of references.
+        listed: the fixed list of actions of a cell alike, which is then not searched.
     """
     config = how.prepare(Subject(env=env)).env
     drawn = evaluation_episodes(config, episodes, SEED)
-    listed = search_open_loop(config)
+    if listed is None:
+        listed = search_open_loop(config)
     played = ArmVectorEnv(config, min(100, episodes))
     chance = None
     if questions_of(config) is not None:
@@ -88,6 +92,8 @@ def freeze(
             "split": cell.split,
             "reference": cell.reference,
         }
+        if cell.group:
+            described[cell.name]["group"] = cell.group
         if cell.graph is not None:
             lines = ["\t".join(triple) for triple in cell.graph]
             described[cell.name]["graph"] = {

@@ -11,7 +11,7 @@ from knowarm.benchmark.suites import Cell
 from knowarm.config import to_dict
 from knowarm.errors import UserError, packages_of
 from knowarm.experiment.evaluate import known_in_test
-from knowarm.experiment.evaluation import Subject
+from knowarm.experiment.evaluation import Places, Subject, told_places
 from knowarm.experiment.knows import NoKnowledge, answers_by_graph
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.other_graphs import check_graph
@@ -117,7 +117,12 @@ def _run(spec: str, *, solves: bool = False) -> Entrant:
     folder = trained.folder
     solves = solves or config.solves
 
-    def make(cell: Cell, env: ArmVectorEnv, reasoning: Any = None) -> AgentProtocol:
+    def make(
+        cell: Cell,
+        env: ArmVectorEnv,
+        reasoning: Any = None,
+        places: Places = "graph",
+    ) -> AgentProtocol:
         learned = config.env
         played = cell.env
         if learned.task.name != played.task.name or not _same_robot(learned, played):
@@ -134,7 +139,7 @@ def _run(spec: str, *, solves: bool = False) -> Entrant:
         if not solves:
             return informed
         known = graph or played.task.asked.answering_graph(facets_of(played))
-        return SolvingAgent(informed, played, known)
+        return SolvingAgent(informed, played, told_places(known, places, config.seed))
 
     uses = {
         "image": True,
@@ -150,7 +155,12 @@ def _run(spec: str, *, solves: bool = False) -> Entrant:
         training = f"network of {training}; joint angles and kinematic model are known"
     controls: dict[str, MakeAgent] = {}
     if answers_by_graph(config.knows):
-        controls["shuffled graph"] = partial(make, reasoning="graph-shuffled")
+        shuffled = partial(make, reasoning="graph-shuffled")
+        controls["shuffled graph"] = shuffled
+        if solves and config.env.task.skill.tells_facts:
+            controls["shuffled places"] = partial(make, places="shuffled")
+            controls["shuffled both"] = partial(shuffled, places="shuffled")
+            controls["unknown places"] = partial(make, places="unknown")
     return Entrant(
         spec=f"{SEEN}{spec}" if solves else spec,
         make=make,

@@ -36,9 +36,10 @@ MOST_TEXT = 300
 MOST_TOLERANCE = 0.1
 FIELDS = {"format", "suite", "digest", "name", "policy", "version", "cells", "summary"}
 OPTIONAL_FIELD = "mujoco"  # version; the first rows lack it
-OPTIONAL_CONTROL = (
-    "shuffled graph"  # of agents that answer by a graph, and of no others
+OPTIONAL_CONTROLS = frozenset(
+    ("shuffled graph", "shuffled places", "shuffled both", "unknown places")
 )
+"""Those of agents that answer by a graph, and of no others."""
 
 Row = dict[str, Any]
 """A row, or a part of it."""
@@ -173,6 +174,8 @@ def _required_controls(cell: Cell, inputs: Sequence[str]) -> list[str]:
         controls += ["black", "frozen"]
     if questions_of(cell.env) is not None and ("words" in inputs or "graph" in inputs):
         controls.append("shuffled query")
+        if cell.env.task.skill.tells_facts:
+            controls.append("shuffled facts")
     if cell.graph is not None and "graph" in inputs:
         controls.append("intact graph")
     return controls
@@ -187,6 +190,9 @@ def _controls(
         "black": lambda: BlindAgent(entrant.make(cell, env)),
         "frozen": lambda: FrozenAgent(entrant.make(cell, env)),
         "shuffled query": lambda: InformedAgent(entrant.make(cell, env), shuffled),
+        "shuffled facts": lambda: InformedAgent(
+            entrant.make(cell, env), with_other_facts
+        ),
         "intact graph": lambda: entrant.make(own_graph, env),
     }
     agents = {name: makers[name]() for name in _required_controls(cell, entrant.inputs)}
@@ -199,6 +205,13 @@ def shuffled(batch: Batch) -> Batch:
     """Return a batch with the queries of other episodes."""
     order = np.random.default_rng(0).permutation(batch.size)
     return replace(batch, names=batch.names[order])
+
+
+def with_other_facts(batch: Batch) -> Batch:
+    """Return a batch with what holds in other episodes."""
+    order = np.random.default_rng(0).permutation(batch.size)
+    facts = {name: values[order] for name, values in batch.facts.items()}
+    return replace(batch, facts=facts)
 
 
 def _play(
@@ -366,7 +379,7 @@ def _check_declared(suite: Suite, row: Row) -> None:
         needed = {"policy", *_required_controls(suite.cells[name], policy["inputs"])}
         for _, outcome in zip(specs, cell["outcomes"], strict=True):
             _check_names(
-                f"cells.{name}.outcomes", outcome.keys() - {OPTIONAL_CONTROL}, needed
+                f"cells.{name}.outcomes", outcome.keys() - OPTIONAL_CONTROLS, needed
             )
 
 

@@ -37,7 +37,11 @@ CONTROLS = {
     "black": "the policy on black images",
     "frozen": "the policy, which sees only the first image of an episode",
     "shuffled query": "the policy with the queries of other episodes",
+    "shuffled facts": "the policy told what holds in other episodes, as which tray is which place",
     "shuffled graph": "the policy with a graph whose tails are permuted within each relation",
+    "shuffled places": "the policy where such a graph says where objects belong",
+    "shuffled both": "the policy where such a graph says both",
+    "unknown places": "the policy where no graph says where objects belong",
     "intact graph": "the policy with the graph before its damage",
 }
 """Controls that can stand beside a score, in the order of tables, and what they are."""
@@ -54,6 +58,7 @@ class Cell:
         open_loop: the best fixed list of actions, (T, J).
         reference: success of the oracle and of the fixed list, and chance, when it was frozen.
         graph: what a policy may use in place of its own graph; None leaves it its own.
+        group: words before the name of its table, where a suite has several tasks.
     """
 
     name: str
@@ -63,11 +68,13 @@ class Cell:
     open_loop: Integers
     reference: dict[str, float | None]
     graph: KnowledgeGraph | None = None
+    group: str = ""
 
     @property
     def table(self) -> str:
-        """Table that the cell belongs to: one per robot and choice of colours."""
-        return f"{Path(self.env.robot).stem}, {self.env.colours} colours"
+        """Table that the cell belongs to: one per group, robot and choice of colours."""
+        words = (self.group, Path(self.env.robot).stem, f"{self.env.colours} colours")
+        return ", ".join(filter(None, words))
 
 
 @dataclass(frozen=True)
