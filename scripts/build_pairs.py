@@ -34,6 +34,12 @@ SHARES = {name.removeprefix("pair_").replace("_", " "): name for name in OUTCOME
 """Columns of the table, and the outcomes of which they are the shares."""
 KINDS = {"flips, shown": "shown", "flips, not shown": "not shown"}
 """Strata of the flips."""
+TESTS = {
+    "stop": "it stays unless exactly one visible object answers.",
+    "colours": "it knows the colours of the query alone, not the graph.",
+    "graph-shuffled": "it answers by a graph with permuted tails.",
+}
+"""Tests under which an agent that answers by the graph is played as well."""
 PREFIX = "post-training-greedy-s1"
 """What names of all evaluations of the study begin with."""
 
@@ -137,14 +143,15 @@ def name_of(experiment: str, test: str) -> str:
 def table(arms: Arms) -> str:
     """Return the table: a row per arm."""
     titles = ["arm", "networks", "pairs", *SHARES, *KINDS]
-    lines = [titles, ["---" for _ in titles]]
+    lines = [titles]
     for (experiment, test), runs in arms.items():
         pairs = len(runs[0].columns["target"])
         cells = [name_of(experiment, test), str(len(runs)), str(pairs)]
         cells += [percent(mean(runs, outcome)) for outcome in SHARES.values()]
         cells += [percent(mean(runs, "flips", kind)) for kind in KINDS.values()]
         lines.append(cells)
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+    first, *rest = [f"| {' | '.join(cells)} |" for cells in lines]
+    return "\n".join([first, "|---" * len(titles) + "|", *rest])
 
 
 def planned(studies: Sequence[StudyConfig]) -> dict[tuple[str, str], set[int]]:
@@ -218,6 +225,12 @@ def lead(arms: Arms) -> str:
     )
 
 
+def tests_in(arms: Arms) -> str:
+    """Explain the tests that arms were played under."""
+    played = dict.fromkeys(test for _, test in arms if test)
+    return " ".join(f"*{test}*: {TESTS[test]}" for test in played)
+
+
 def page(arms: Arms, seeds: Mapping[tuple[str, str], set[int]]) -> str:
     """Return the text of the page."""
     study = {key: runs for key, runs in arms.items() if key in seeds}
@@ -231,13 +244,12 @@ def page(arms: Arms, seeds: Mapping[tuple[str, str], set[int]]) -> str:
     if shipped:
         parts += [
             "**Shipped policies**, one network each, percent with intervals over episodes: what "
-            "these networks do, no claim on a way to train them. *stop*: it stays unless exactly "
-            "one visible object answers. *colours*: the graph is not read. *graph-shuffled*: one "
-            "graph with permuted tails.",
+            f"these networks do, no claim on a way to train them. {tests_in(shipped)}",
             table(shipped),
         ]
     parts.append(progress(arms, seeds))
     if study:
+        parts.append(tests_in(study))
         parts.append(table(study))
         parts.append("\n".join(verdicts(arms, seeds)))
     return "\n\n".join(wrapped(part) for part in parts if part) + "\n"
