@@ -697,3 +697,19 @@ def test_places_owners_and_origins_are_said(graph, question, text):
 def test_questions_for_a_place_or_an_unknown_owner_are_refused(graph, question):
     with pytest.raises(UserError, match="is not understood"):
         reading(graph_named(graph), FACETS, question)
+
+
+def test_values_are_said_by_their_words_apart_and_no_kind_by_what_one_does():
+    graph = graph_of(
+        [
+            ("mug", "ON", "coffeetable"),
+            ("mug", "hasPart", "handle.n.01"),
+            ("mug", "isA", "drink"),
+            ("mug", "isA", "container"),
+        ]
+    )
+    assert reading(graph, FACETS, "on the coffee table") == "ON coffeetable"
+    assert reading(graph, FACETS, "with a handle") == "hasPart handle.n.01"
+    assert reading(graph, FACETS, "a drink") == "isA drink"
+    with pytest.raises(UserError, match="'drinking' fits nothing here"):
+        reading(graph, FACETS, "a drinking container")

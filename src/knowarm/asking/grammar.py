@@ -350,9 +350,12 @@ class Reader:
     def is_kept_out(self, state: ReadingState, match: Match) -> bool:
         """Return whether words may not be a value, though they are near to it."""
         entry = match.entry
+        word = self.words[state.position]
+        is_doing = match.far > 0 and word.endswith("ing")
+        if is_doing and entry.relation.family is FAMILIES["type"]:
+            return True  # "drinking" is no drink
         if match.far == INFLECTED and entry.words[-1].endswith("ing"):
             # Not by "light" and "stored", but by "for light", "that lights", "to cook or light"
-            word = self.words[state.position]
             is_said = state.strong is not None or not PURPOSE.isdisjoint(state.weak)
             is_said |= bool(state.join and state.done) and "ing" in state.done[-1].text
             if word.endswith("ed"):

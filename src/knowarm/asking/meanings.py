@@ -166,6 +166,9 @@ class Meanings:
             match = self._matched(start, entry)
             if match is not None and self._may_be(match, start):
                 matches.append(match)
+        whole = word + self[start + 1]
+        starting = self.vocabulary.starting(whole)  # "coffee table" of `coffeetable`
+        matches += [Match(one, 0.0, 2) for one in starting if one.words == (whole,)]
         if word in IGNORED:  # "can be heated"
             return [match for match in matches if match.length > 1]
         for verb in sorted(verbs_of(word)):  # "openable" of what "can open"

@@ -375,5 +375,6 @@ def _subproperties(graph: KnowledgeGraph) -> tuple[set[str], set[str]]:
 
 def words_of(label: str) -> Words:
     """Return the words of a name or label in lower case."""
+    label = re.sub(r"(?<=\w)\.[nvasr]\.\d+$", "", label)  # of WordNet
     label = re.sub(r"^/(?:c/\w+|r)/([^/]+).*", r"\1", label)  # of ConceptNet
     return tuple(re.findall(r"[^\W_]+(?:\.\d+)?", spaced(label).casefold()))

@@ -1,50 +1,38 @@
 """Columns of tables and keys of records: which hold head, relation and tail of a triple."""
 
 import re
+import tomllib
 import unicodedata
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from functools import lru_cache
 from itertools import chain, product
 from operator import itemgetter
+from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import quote
 
 from knowarm.errors import UserError
 from knowarm.knowledge.graph.terms import NAMESPACE, is_iri, name_of_iri, parse_literal
 
-PAIRS = (
-    ("head", "tail"), ("subject", "object"), ("subj", "obj"), ("sub", "obj"), ("h", "t"),
-    ("s", "o"), ("node1", "node2"), ("entity1", "entity2"), ("e1", "e2"), ("start_id", "end_id"),
-    ("start", "end"), ("source", "target"), ("src", "dst"), ("from", "to"),
-    ("from_word", "to_word"), ("arg1", "arg2"), ("cue", "response"), ("cue", "association"),
-    ("object1", "object2"),
-)  # fmt: skip
-"""Names of head and tail that stand beside each other, the surest first: a source beside a subject
-is a reference."""
+NAMES = tomllib.loads(Path(__file__).with_name("columns.toml").read_text("utf-8"))
+"""Names of columns, of which the file tells."""
+PAIRS: tuple[tuple[str, str], ...] = tuple(map(tuple, NAMES["pairs"]))
+"""Names of head and tail that stand beside each other, the surest first."""
 ROLES = {
     "head": tuple(dict.fromkeys(map(itemgetter(0), PAIRS))),
-    "relation": ("relation", "predicate", "relationship", "property", "rel", "pred", "r", "p",
-                 "edge", "edge_type", "interaction", "label", "labels", "type", "name",
-                 "object_relation"),
+    "relation": tuple(NAMES["relation"]),
     "tail": (*dict.fromkeys(map(itemgetter(1), PAIRS)), "value"),
-}  # fmt: skip
+}
 """Names of the three columns, the surest first."""
-_SURE = (("head", "subject", "subj", "sub"), ("tail", "object", "obj", "value"))
+_SURE = (NAMES["sure_heads"], NAMES["sure_tails"])
 """Names of heads and tails that may be mixed."""
 _BESIDE = {*PAIRS, *product(*_SURE)}
 
 _ADDITION = re.compile(r"_(entity|name|type|node|concept|term|word|id)$")
 """What may follow a name of a column."""
-_TRUTH = {
-    "negated", "negation", "negative", "is_negated", "negate", "polarity", "truth", "is_true",
-    "truth_value", "holds", "valid", "is_valid",
-}  # fmt: skip
-"""Columns that say whether a triple holds."""
-
 CONFIDENCE = "confidence"
 """Name of the column with the probability that a triple holds."""
-_CONFIDENCES = (CONFIDENCE, "probability", "certainty")
 
 
 class Columns(NamedTuple):
@@ -82,14 +70,14 @@ def columns_of(names: tuple[str, ...], where: str) -> Columns | None:
             f"relation one of {', '.join(ROLES['relation'])}; if there is none and all state the "
             "same, add it."
         )
-    truth = sorted(_TRUTH.intersection(keys))
+    truth = sorted(filter(keys.__contains__, NAMES["truth"]))
     if truth:
         raise UserError(
             f"{where}: {truth[0]} says which triples hold. Leave it out, and write those that do "
             "not hold with a relation such as notUsedFor."
         )
     head, tail = map(keys.index, pairs[0])
-    confidence = _column(keys, _CONFIDENCES)
+    confidence = _column(keys, NAMES["confidences"])
     read = (head, relation, tail, confidence)
     others = [name for number, name in enumerate(names) if number not in read]
     return Columns((head, relation, tail), confidence, tuple(filter(None, others)))

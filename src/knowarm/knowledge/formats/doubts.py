@@ -9,15 +9,10 @@ from operator import itemgetter
 from pathlib import Path
 
 from knowarm.errors import UserError, warn
-from knowarm.knowledge.formats.columns import listed
+from knowarm.knowledge.formats.columns import NAMES, listed
 from knowarm.knowledge.formats.files import open_compressed, python
 from knowarm.knowledge.graph.graph import Triple
 
-_FIRST_COLUMNS = {
-    "", "object", "item", "name", "entity", "thing", "id", "index", "class", "category", "concept",
-    "noun", "word", "cue", "product", "title", "label", "key", "instance", "node", "term", "synset",
-}  # fmt: skip
-"""What the column of the things is called, which is the first."""
 _IDENTIFIER = re.compile(r".*([a-z]Id|_id| id|ID)s?")
 """What the column of the numbers of things is called."""
 _RELATION = re.compile(
@@ -119,7 +114,7 @@ def _is_wide(rows: int, different_heads: int, relations: Counter[str]) -> bool:
 def _names_columns(cells: Sequence[str]) -> bool:
     """Return whether a row names the columns of a wide table: things come first."""
     first = cells[0].strip("_#")
-    is_thing = first.casefold().removesuffix("s") in _FIRST_COLUMNS
+    is_thing = first.casefold().removesuffix("s") in NAMES["things"]
     return is_thing or _IDENTIFIER.fullmatch(cells[0]) is not None
 
 

@@ -220,21 +220,19 @@ def _has_names(value: Any) -> bool:
 
 def _read_names(document: Any, scene: SceneRecords) -> None:
     """Read ``[1, 2, 14, "attached to"]`` of 3DSSG, or ``[0, "has", 1]``; lists count objects."""
-    scenes = records_of(document, "scans") or [document]
-    if isinstance(document, list):
-        scenes = document
+    scenes = document if isinstance(document, list) else [document]
     if len(scenes) > 1:
         raise UserError(
             f"{scene.where}: holds {len(scenes)} scenes, each with objects of its own. Save one "
             "of them as a file."
         )
-    (only,) = scenes
-    objects = only["objects"]
+    (scan,) = scenes
+    objects = scan["objects"]
     if isinstance(objects, list):
         objects = dict(enumerate(objects))
     for key, kind in objects.items():
         scene.add_thing(int(key), kind, {})
-    for link in only["relationships"]:
+    for link in scan["relationships"]:
         numbers = [cell for cell in link if isinstance(cell, int)]
         relation = next(cell for cell in link if isinstance(cell, str))
         scene.relate([numbers[0], relation, numbers[1]])
@@ -265,7 +263,6 @@ SCENES = (
     ),
     _things("VirtualHome", "class_name", "nodes"),
     Form("3DSSG", _read_names, _has_names, (), SceneRecords),
-    Form("3DSSG", _read_names, _has_names, ("scans",), SceneRecords),
     _things("ConceptGraphs", "object_tag", "objects"),
     _things("ConceptGraphs", "class_name", "objects"),
     _things("ConceptGraphs", "object_tag"),
