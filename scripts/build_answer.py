@@ -108,9 +108,8 @@ during training (*area*). Brackets: 95 % intervals over training seeds (bootstra
 narrow below about ten seeds; Welch's t for differences). p: log-rank, Holm's correction over a
 cell's comparisons. [Every cell and agent](answer-cells.md); `answer-runs.csv`.
 
-Controls: `wide` is a network as large without knowledge, `zeros` a constant vector, `random` has
-random numbers in place of each slot, `shuffled` a graph whose tails are permuted within each
-relation. An effect of what the knowledge says must exceed all of them."""
+An effect of what the knowledge says must exceed that of every
+[control](../concepts.md#controls-separate-causes)."""
 
 FIGURE = (
     "![Success of every run of `bm`, `partial` and `full`](../images/reach-success.svg)"
