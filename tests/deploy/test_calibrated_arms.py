@@ -320,7 +320,8 @@ def test_doctor_writes_the_map_of_a_description_and_serve_reads_it(
     with pytest.raises(UserError, match="--calibration needs --robot"):
         Doctor(calibration=calibration).run()
     Doctor(robot="irb120", unit="deg").run()
-    assert '"joint_1" = {name = "joint_1", unit = "deg"}' in capsys.readouterr().out
+    line = '"joint_1" = {name = "joint_1", sign = 1, offset = 0.0, unit = "deg"}'
+    assert line in capsys.readouterr().out
 
 
 class OwnArm:

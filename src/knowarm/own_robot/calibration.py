@@ -161,7 +161,10 @@ def narrower_ranges(
 
 def unit_map(joints: Iterable[str], unit: Unit) -> Fields:
     """Return the joint map of an arm that counts all joints in a unit, from the model's zero."""
-    return {joint: {"name": joint, "unit": unit} for joint in joints}
+    return {
+        joint: {"name": joint, "sign": 1, "offset": 0.0, "unit": unit}
+        for joint in joints
+    }
 
 
 def motor_names(joint_map: Mapping[str, RealJoint]) -> dict[str, str]:

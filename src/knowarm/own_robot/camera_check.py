@@ -25,7 +25,7 @@ from knowarm.own_robot.camera_fit import (
     fit_camera,
     most_free,
 )
-from knowarm.own_robot.pixels import draw_large
+from knowarm.own_robot.pixels import draw_once
 from knowarm.own_robot.poses import CORNERS, Fields, rounded, support_places
 from knowarm.pictures import central_square
 from knowarm.reading import read_text, reading, replacing
@@ -60,7 +60,7 @@ def check_camera(
         image = fenced(_decode, photo)
     scene = scene_of(config)
     data = scene.at(scene.home)
-    view = draw_large(scene, config, data, resting_colours(scene, 1), SIDE)
+    view = draw_once(scene, config, data, resting_colours(scene, 1), SIDE)
     blended = Image.blend(rectify(image, scene.robot, SIDE), view, 0.5)
     with replacing(overlay) as temporary:
         blended.save(temporary, "PNG")

@@ -30,12 +30,7 @@ from knowarm.own_robot.plausible import ranges_of
 from knowarm.own_robot.repair import repair_draft
 from knowarm.own_robot.robot_check import check_robot
 from knowarm.own_robot.scene_image import write_scene_image
-from knowarm.own_robot.urdf import (
-    MODEL_SUFFIXES,
-    as_mjcf,
-    keep_converted,
-    refuse_folder,
-)
+from knowarm.own_robot.urdf import MODEL_SUFFIXES, as_mjcf, keep_converted
 from knowarm.pictures import check_suffix
 from knowarm.reading import replacing
 from knowarm.world.config import EnvConfig
@@ -51,6 +46,9 @@ LEROBOT_UNITS: tuple[Unit, ...] = ("range", "deg")
 
 DRAFT_OPTIONS = ("set", "write", "xacro", "package")
 """Options of the draft of a description from a bare model file."""
+
+OTHER_OPTIONS = (*DRAFT_OPTIONS, "task", "targets", "calibration", "unit")
+"""Those that do not go with checks of a real camera or of joints that were moved."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,15 +138,13 @@ class Doctor(TableCommand):
         if self.robot is None:
             self._refuse("--robot", "calibration", "unit", "joints")
         if self.camera is not None:
-            others = ("calibration", "unit", "joints")
-            self._refuse("no --camera", *DRAFT_OPTIONS, "task", "targets", *others)
+            self._refuse("no --camera", *OTHER_OPTIONS, "joints")
             config = EnvConfig(robot=robot)
             overlay = self.image or Path("camera.png")
             checks = check_camera(config, self.camera, self.points, overlay)
             return f"camera of robot {config.robot}", checks
         if self.joints is not None:
-            others = ("calibration", "unit", "image")
-            self._refuse("no --joints", *DRAFT_OPTIONS, "task", "targets", *others)
+            self._refuse("no --joints", *OTHER_OPTIONS, "image")
             return f"joints of robot {robot}", check_moved_joints(robot, self.joints)
         if self.task is not None:
             return f"objects of robot {robot}", self._check_robot(robot)
@@ -175,19 +171,21 @@ class Doctor(TableCommand):
             yield from self._check(robot)
             return
         self._refuse_existing()
-        with TemporaryDirectory() as temporary:
+        with TemporaryDirectory() as scratch:
             stem = _run_name(Path(robot).with_suffix("").stem)
-            file = new or Path(temporary) / f"{stem}{SUFFIX}"
+            file = new or Path(scratch) / f"{stem}{SUFFIX}"
             folder = file.with_suffix("")
             model, note = as_mjcf(
                 Path(robot),
-                Path(temporary) / folder.name,
+                Path(scratch) / folder.name,
                 arguments=self.xacro,
                 packages=self.package,
             )
             is_kept = new is not None and bool(note)
-            if is_kept:
-                refuse_folder(folder)
+            if is_kept and folder.exists():
+                raise UserError(
+                    f"The folder {folder} for the converted model exists; remove or rename it."
+                )
             targets = self.targets or EnvConfig().targets
             given = read_overrides(self.set)
             if self.calibration is not None:
@@ -205,8 +203,9 @@ class Doctor(TableCommand):
             if note:
                 draft.how["file"] = note if new else f"{note}; --write keeps the result"
             if is_kept:  # only now, so that a draft that is stopped leaves nothing
-                kept = keep_converted(model, folder)
-                draft = replace(draft, robot=replace(draft.robot, mjcf=kept))
+                keep_converted(model, folder)
+                robot_there = replace(draft.robot, mjcf=folder / model.name)
+                draft = replace(draft, robot=robot_there)
             text = draft.toml(file)
             self._print(draft, text, new or Path(file.name))
             with replacing(file) as temporary:

@@ -2,7 +2,7 @@
 
 import json
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from functools import cache
@@ -16,7 +16,7 @@ from numpy.linalg import norm
 
 from knowarm.config import from_dict
 from knowarm.errors import UserError, unknown_name
-from knowarm.own_robot.calibration import joint_map_toml
+from knowarm.own_robot.calibration import joint_map_toml, unit_map
 from knowarm.own_robot.draft_base import lowest_m, place_base
 from knowarm.own_robot.draft_gripper import find_gripper
 from knowarm.own_robot.draft_home import STEPS, Home, find_homes
@@ -125,8 +125,8 @@ class Draft:
         lines += [f"{name} = {_toml(value)}" for name, value in values.items()]
         text = "\n".join(lines) + "\n"
         if "joint_map" not in self.fields:
-            text += JOINT_MAP + joint_map_toml(_unchanged(self.robot.joints))
-            held = joint_map_toml(_unchanged(self.robot.held_joints))
+            text += JOINT_MAP + joint_map_toml(unit_map(self.robot.joints, "rad"))
+            held = joint_map_toml(unit_map(self.robot.held_joints, "rad"))
             for line in held.splitlines()[1:]:
                 text += f"# {line}\n"
         return text
@@ -139,14 +139,6 @@ def written(draft: Draft, **given: Any) -> Iterator[str]:
         file = Path(folder) / "arm.toml"
         file.write_text(draft.toml(file, **given), "utf-8")
         yield str(file)
-
-
-def _unchanged(joints: Iterable[str]) -> Fields:
-    """Return the joint map that converts nothing."""
-    return {
-        joint: {"name": joint, "sign": 1, "offset": 0.0, "unit": "rad"}
-        for joint in joints
-    }
 
 
 def _toml(value: Any) -> str:

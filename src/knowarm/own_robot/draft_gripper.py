@@ -93,10 +93,7 @@ def find_gripper(model: MjModel, given: Sequence[str] = ()) -> Gripper:
             "Name its joints, or list them in the description's field joints."
         )
     names = joint_names(model, chain.joints)
-    left = list[str]()
-    for j in range(model.njnt):
-        if j not in chain.joints:
-            left.append(joint_name(model, j))
+    left = [joint_name(model, j) for j in range(model.njnt) if j not in chain.joints]
     how = (
         f"{len(names)} joints up to body {model.body(chain.hand).name!r}, where {chain.end}: "
         f"{', '.join(names)}; left out: {', '.join(left) or 'none'}"
@@ -255,7 +252,10 @@ def _open_fingers(
     names = ", ".join(joint_names(model, drivers))
     if len(pair) < 2:
         alone = model.body(model.geom_bodyid[fingers[0][0]]).name
-        raise UserError(f"{alone} moves alone across the hand, and a grip is of two")
+        raise UserError(
+            f"{alone} moves alone across the hand, and lifting closes two fingers by the same way, "
+            "which a fixed jaw cannot follow"
+        )
     if len(drivers) > MOST_DRIVERS:
         raise UserError(
             f"{len(drivers)} joints move them that the file couples by no mimic or equality, as a "

@@ -93,10 +93,8 @@ def find_homes(scene: Scene, layout: Layout) -> list[Home]:
     for i in np.argsort(penalty):
         if len(homes) == HOMES:
             break
-        apart = np.inf
-        for home in homes:
-            apart = min(apart, np.abs(home.joints - poses[i]).max())
-        if apart <= DIFFERENT_RAD:
+        apart = [np.abs(home.joints - poses[i]).max() for home in homes]
+        if min(apart, default=np.inf) <= DIFFERENT_RAD:
             continue
         text = (
             f"gripper {height[i]:.2f} m above the support, "

@@ -64,21 +64,15 @@ def draw_once(
     colours: Colours,
     side: int,
 ) -> Image.Image:
-    """Draw one image of geoms in colours (1, G, 4), ``side`` pixels wide and high."""
+    """Draw one image of geoms in colours (1, G, 4), ``side`` pixels wide and high.
+
+    Where it is larger than the policy's, full meshes are faster than simplifying them first.
+    """
+    if side > config.image_size:
+        config = replace(config, mesh_detail="full")
     renderer = make_renderer(scene, config, side, 1)
     images = renderer.draw(data.geom_xpos[None], data.geom_xmat[None], colours)
     return Image.fromarray(images[0])
-
-
-def draw_large(
-    scene: Scene,
-    config: EnvConfig,
-    data: MjData,
-    colours: Colours,
-    side: int,
-) -> Image.Image:
-    """Draw one image with full meshes, which is faster than simplifying them first."""
-    return draw_once(scene, replace(config, mesh_detail="full"), data, colours, side)
 
 
 def different_pixels(a: Images, b: Images) -> Integers:

@@ -7,7 +7,7 @@ from mujoco import MjData, mj_kinematics
 from PIL import Image, ImageDraw
 
 from knowarm.arrays import Floats
-from knowarm.own_robot.pixels import draw_large, draw_once
+from knowarm.own_robot.pixels import draw_once
 from knowarm.own_robot.poses import CORNERS, support_places
 from knowarm.reading import replacing
 from knowarm.world.config import EnvConfig
@@ -28,7 +28,7 @@ def write_scene_image(scene: Scene, config: EnvConfig, path: Path) -> None:
     mj_kinematics(scene.model, data)
     targets = np.arange(count)[None]
     colours = TargetColours(scene)(targets, np.zeros_like(targets))
-    large = draw_large(scene, config, data, colours, SIDE)
+    large = draw_once(scene, config, data, colours, SIDE)
     _draw_lines(scene, data, corners, large)
     small = draw_once(scene, config, data, colours, config.image_size)
     small = small.resize(large.size, Image.Resampling.NEAREST)

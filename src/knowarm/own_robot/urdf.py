@@ -78,19 +78,10 @@ def as_mjcf(
     return (file if note else path), note
 
 
-def keep_converted(model: Path, folder: Path) -> Path:
-    """Copy a converted model with its folder to a new one; return the model there."""
+def keep_converted(model: Path, folder: Path) -> None:
+    """Copy a converted model with its folder to a new one."""
     with writing(folder), new_folder(folder) as made:
         shutil.copytree(model.parent, made, dirs_exist_ok=True)
-    return folder / model.name
-
-
-def refuse_folder(folder: Path) -> None:
-    """Refuse to convert a model into a folder that exists."""
-    if folder.exists():
-        raise UserError(
-            f"The folder {folder} for the converted model exists; remove or rename it."
-        )
 
 
 def _convert(ros: "_Packages", arguments: Sequence[str], file: Path) -> str:
