@@ -1,5 +1,8 @@
 """Batches of simulations: ``mujoco.batch`` and the loop in its place give the same bytes."""
 
+import subprocess
+import sys
+
 import mujoco
 import numpy as np
 import pytest
@@ -7,7 +10,7 @@ import pytest
 import knowarm
 from knowarm.errors import UserError
 from knowarm.world import backend
-from knowarm.world.batch import LoopBatch
+from knowarm.world.batch import MUJOCO, LoopBatch
 from tests.mujoco_version import LIFTS
 
 TASKS = [
@@ -43,9 +46,9 @@ def walked(robot, task, dynamics, threads=2, count=6):
     return seen, rewards
 
 
+@pytest.mark.skipif(MUJOCO < (3, 17), reason="MuJoCo before 3.17")
 @pytest.mark.parametrize(("robot", "task", "dynamics"), TASKS)
 def test_the_loop_gives_the_bytes_of_mujoco_batch(robot, task, dynamics, monkeypatch):
-    pytest.importorskip("mujoco.batch", reason="MuJoCo before 3.17")
     native, _ = walked(robot, task, dynamics)
     assert backend.make_batch is not LoopBatch
     monkeypatch.setattr(backend, "make_batch", LoopBatch)
@@ -71,6 +74,18 @@ def test_the_loop_gives_the_same_at_any_number_of_threads(
 )
 def test_episodes_are_the_same_on_every_version_of_mujoco(robot, task, rewards):
     assert walked(robot, task, "dynamic")[1] == pytest.approx(rewards, abs=1e-5)
+
+
+@pytest.mark.parametrize("version", ["3.8.1", "3.16.0"])
+def test_files_that_a_newer_mujoco_left_are_not_read(version):
+    code = (
+        "import mujoco, sys\n"
+        "sys.modules['mujoco.batch'] = None\n"
+        f"mujoco.mj_versionString = lambda: {version!r}\n"
+        "from knowarm.world import batch\n"
+        "assert batch.make_batch is batch.LoopBatch\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_the_loop_has_fields_of_state_outputs_and_models():
@@ -100,5 +115,6 @@ def test_the_loop_has_fields_of_state_outputs_and_models():
 def test_lifting_names_the_version_that_it_needs(monkeypatch):
     model = "knowarm.world.tasks.skills.lift.model"
     monkeypatch.setattr(f"{model}.mj_versionString", lambda: "3.8.1")
+    monkeypatch.setattr(f"{model}.MUJOCO", (3, 8))
     with pytest.raises(UserError, match=r"MuJoCo 3\.16, and 3\.8\.1 is installed"):
         knowarm.make("irb120", task=knowarm.Lift(), targets=("mug", "bowl"))

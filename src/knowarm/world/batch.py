@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from copy import copy
 from itertools import repeat
 from typing import Any
@@ -12,6 +11,9 @@ import numpy as np
 from mujoco import mjtStage, mjtState
 
 from knowarm.arrays import Floats, Integers
+
+MUJOCO = tuple(map(int, mujoco.mj_versionString().split(".")[:2]))
+"""Version of MuJoCo."""
 
 _INTEGRATION = int(mjtState.mjSTATE_INTEGRATION)
 """Everything that determines the following steps."""
@@ -134,7 +136,8 @@ def _set_field(model: mujoco.MjModel, name: str, value: Any) -> None:
 make_batch: Any = LoopBatch
 """Make n simulations of a model on some threads: by ``mujoco.batch`` from MuJoCo 3.17 on."""
 
-with suppress(ImportError):
+# Not by trial: beside an older MuJoCo, files of 4.0 may be left, which it cannot read.
+if MUJOCO >= (3, 17):
     import mujoco.batch as native
 
     make_batch = native.Batch

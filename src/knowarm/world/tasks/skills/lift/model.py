@@ -29,6 +29,7 @@ from mujoco import (
 
 from knowarm.arrays import Floats
 from knowarm.errors import UserError
+from knowarm.world.batch import MUJOCO
 from knowarm.world.objects.target import Target
 from knowarm.world.robots.robot import FINGERS_JOINT, Robot
 from knowarm.world.scene.compose import ROBOT_BIT, ROBOT_PREFIX, SUPPORT_BIT, compose
@@ -86,8 +87,7 @@ def build_lift_scene(
     Raises:
         UserError: the robot names no fingers, or its file lacks them; MuJoCo is too old.
     """
-    major, minor, *_ = map(int, mj_versionString().split("."))
-    if (major, minor) < OLDEST_MUJOCO:
+    if MUJOCO < OLDEST_MUJOCO:
         raise UserError(
             f"Fingers and solid objects need MuJoCo 3.16, and {mj_versionString()} is installed: "
             "pip install 'mujoco>=3.16', or take a task that reaches."
