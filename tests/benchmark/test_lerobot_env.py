@@ -1,6 +1,7 @@
 """The LeRobot plugin under the real LeRobot, in an environment of its own (Python 3.12).
 
-python3.12 -m venv lerobot && lerobot/bin/pip install 'lerobot>=0.6' . plugins/lerobot_env_knowarm
+python3.12 -m venv lerobot
+lerobot/bin/pip install 'lerobot[dataset]>=0.6' . plugins/lerobot_env_knowarm
 KNOWARM_LEROBOT_ENV_PYTHON=$PWD/lerobot/bin/python pytest tests/benchmark/test_lerobot_env.py
 """
 
