@@ -1,25 +1,32 @@
 """Every shipped policy through every door: the same episodes give the same actions."""
 
 import copy
+import pickle
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import gymnasium
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 import torch
 from gymnasium.vector import AutoresetMode
 
 import knowarm
+from knowarm.benchmark.policies import entrant
+from knowarm.benchmark.suites import Cell
+from knowarm.deploy.record import DATA, record
+from knowarm.errors import UserError
+from knowarm.experiment.evaluation import SplitTest
+from knowarm.experiment.zoo import POLICIES as SHIPPED
+from knowarm.world.agents.protocol import Batch
 from tests.source_tree import ROOT
 
 ZOO = ROOT / "zoo"
-POLICIES = sorted(
-    path.name
-    for path in ZOO.iterdir()
-    # Those that see and solve need joint angles, which environments do not show.
-    if path.is_dir() and not path.name.endswith("-seen")
-)
+SEEN = sorted(name for name in SHIPPED if name.endswith("-seen"))
+"""Those that see and solve need joint angles, which an observation does not hold."""
+POLICIES = sorted(SHIPPED.keys() - SEEN)
 JUDGED = {"success_distance_m": 0.1, "success_angle_deg": 17.0}  # of evaluations
 
 
@@ -49,6 +56,23 @@ class Doors:
     def played(self, env):
         """Return the actions of `knowarm.play`."""
         steps = self.result(env).steps
+        return [steps.actions[steps.episode == i] for i in range(self.count)]
+
+    def recorded(self, folder, num_envs=4):
+        """Return the actions that a dataset of the episodes holds."""
+        env = knowarm.ArmVectorEnv(self.config, num_envs)
+        record(self.trained.player, env, self.episodes, folder)
+        table = pq.read_table(folder / DATA.format(chunk_index=0, file_index=0))
+        levels = np.array(table["action.levels"].to_pylist())
+        number = table["episode_index"].to_numpy()
+        return [levels[number == i] for i in range(self.count)]
+
+    def entered(self):
+        """Play as the benchmark plays a run folder in a cell of these episodes."""
+        env = knowarm.ArmVectorEnv(self.config, self.count)
+        cell = Cell("mine", self.config, None, self.episodes, np.zeros((1, 1)), {})
+        agent = entrant(str(ZOO / self.trained.config.name)).make(cell, env)
+        steps = knowarm.play(agent, env, self.episodes).steps
         return [steps.actions[steps.episode == i] for i in range(self.count)]
 
     def alone(self, env, form=lambda observation: observation):
@@ -118,10 +142,21 @@ SIDE_BY_SIDE = {}
 for mode in AutoresetMode:
     for maker in (knowarm.make, gymnasium.make_vec):
         SIDE_BY_SIDE[f"{maker.__module__} {mode.value}"] = (maker, mode)
+
+
+def copied(env):
+    """Return an environment that was written and read."""
+    return pickle.loads(pickle.dumps(env))
+
+
 DOORS = {
     "play, vector": lambda doors: doors.played(knowarm.ArmVectorEnv(doors.config, 3)),
     "play, single": lambda doors: doors.played(doors.single()),
     "play, copy": lambda doors: doors.played(copy.deepcopy(doors.single(knowarm.make))),
+    "play, pickled": lambda doors: doors.played(
+        copied(knowarm.ArmVectorEnv(doors.config, 2))
+    ),
+    "benchmark": lambda doors: doors.entered(),
     "gymnasium.make": lambda doors: doors.alone(doors.single()),
     "knowarm.make": lambda doors: doors.alone(doors.single(knowarm.make)),
     "image and joints": lambda doors: doors.alone(
@@ -136,45 +171,106 @@ DOORS = {
         for name, (maker, mode) in SIDE_BY_SIDE.items()
     },
 }
+# Ways to a grasp have as many points as the longest of those that are solved together.
+DOORS_OF_SEEN = {
+    "play, copy": lambda doors: doors.played(
+        copy.deepcopy(knowarm.ArmVectorEnv(doors.config, doors.count))
+    ),
+    "play, pickled": lambda doors: doors.played(
+        copied(knowarm.ArmVectorEnv(doors.config, doors.count))
+    ),
+    "benchmark": lambda doors: doors.entered(),
+}
 
 
 COUNTS = [3, pytest.param(40, marks=pytest.mark.slow(40))]
 
 
-@pytest.mark.parametrize("count", COUNTS)
-@pytest.mark.parametrize("name", POLICIES)
-def test_every_door_gives_the_actions_of_evaluate(name, count):
-    doors = Doors(name, count)
-    env = knowarm.ArmVectorEnv(doors.config, count)
+def compare(doors, others):
+    """Check that `evaluate`, `play` and other doors give the same actions; return them."""
+    env = knowarm.ArmVectorEnv(doors.config, doors.count)
     result = doors.result(env)
     evaluated = knowarm.evaluate(
-        doors.trained, episodes=count, probes=(), write=False
+        doors.trained, episodes=doors.count, probes=(), write=False
     ).episodes
     np.testing.assert_array_equal(evaluated["return"], result.episode_return)
     np.testing.assert_array_equal(evaluated["length"], result.length)
     expected = doors.played(env)
-    for door, play in DOORS.items():
-        actions = play(doors)
-        assert len(actions) == count
-        for mine, theirs in zip(actions, expected, strict=True):
-            np.testing.assert_array_equal(mine, theirs, err_msg=f"{name} by {door}")
+    for door, play in others.items():
+        same(play(doors), expected, door)
+    return expected
 
 
+def same(actions, expected, door):
+    """Check that the actions of each episode are the expected ones."""
+    for mine, theirs in zip(actions, expected, strict=True):
+        np.testing.assert_array_equal(mine, theirs, err_msg=door)
+
+
+@pytest.mark.parametrize("count", COUNTS)
 @pytest.mark.parametrize("name", POLICIES)
-def test_environments_of_gymnasium_side_by_side_give_the_same_actions(name):
+def test_every_door_gives_the_actions_of_evaluate(name, count, tmp_path):
+    doors = Doors(name, count)
+    expected = compare(doors, DOORS)
+    same(doors.recorded(tmp_path / "dataset"), expected, "record")
+
+
+@pytest.mark.parametrize("count", COUNTS)
+@pytest.mark.parametrize("name", SEEN)
+def test_what_sees_and_solves_acts_alike_where_joint_angles_are_told(
+    name, count, tmp_path
+):
+    doors = Doors(name, count)
+    expected = compare(doors, DOORS_OF_SEEN)
+    same(doors.recorded(tmp_path / "dataset", count), expected, "record")
+    env = doors.single()
+    doors.trained.reset(env.reset(seed=0)[1])
+    with pytest.raises(UserError, match=r"play it by `knowarm.play`") as error:
+        doors.trained.act(env.observation_space.sample())
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "mode", ["sync", pytest.param("async", marks=pytest.mark.slow)]
+)
+@pytest.mark.parametrize("name", POLICIES)
+def test_environments_of_gymnasium_side_by_side_give_the_same_actions(name, mode):
     doors = Doors(name, 3)
     seeded = {"seed": 5}
     env = knowarm.make(doors.name, num_envs=3, **doors.options_of_id)
     expected = doors.together(env, seeded)
     theirs = gymnasium.make_vec(
-        doors.name, num_envs=3, vectorization_mode="sync", **doors.options_of_id
+        doors.name, num_envs=3, vectorization_mode=mode, **doors.options_of_id
     )
-    for mine, other in zip(doors.together(theirs, seeded), expected, strict=True):
-        np.testing.assert_array_equal(mine, other)
+    same(doors.together(theirs, seeded), expected, mode)
+    theirs.close()
 
 
 @pytest.mark.parametrize("name", POLICIES)
-def test_exported_and_served_policies_give_the_same_actions(name, tmp_path):
+def test_environments_of_stable_baselines_give_the_same_actions(name):
+    pytest.importorskip("stable_baselines3")
+    doors = Doors(name, 3)
+    env = knowarm.make(doors.name, num_envs=3, **doors.options_of_id)
+    expected = doors.together(env, {"seed": 5})
+    options = {"autoreset_mode": AutoresetMode.SAME_STEP, **doors.options_of_id}
+    inner = knowarm.make(doors.name, num_envs=3, **options)
+    theirs = knowarm.SB3VecEnv(inner, seed=5)
+    images = theirs.reset()
+    doors.trained.reset(Batch.of(inner))
+    chosen = [[], [], []]
+    ended = np.zeros(3, bool)
+    while not ended.all():
+        actions = doors.trained.act(images)
+        for i in np.flatnonzero(~ended):
+            chosen[i].append(actions[i])
+        images, _, done, _ = theirs.step(actions)
+        ended |= done
+    same(list(map(np.array, chosen)), expected, "SB3VecEnv")
+
+
+@pytest.mark.parametrize("count", COUNTS)
+@pytest.mark.parametrize("name", POLICIES)
+def test_exported_and_served_policies_give_the_same_actions(name, count, tmp_path):
     for package in ("onnxruntime", "onnxscript", "websockets", "msgpack"):
         pytest.importorskip(package)
     from knowarm.benchmark.external import ExportedPolicy
@@ -183,24 +279,35 @@ def test_exported_and_served_policies_give_the_same_actions(name, tmp_path):
     from knowarm.deploy.runner import Runner
     from knowarm.deploy.serve import PolicyServer
 
-    doors = Doors(name, 6)
-    env = knowarm.ArmVectorEnv(doors.config, 6)
-    expected = doors.result(env).steps
+    doors = Doors(name, count)
+    expected = doors.played(knowarm.ArmVectorEnv(doors.config, count))
     folder = tmp_path / "exported"
     export(doors.trained, folder)
     server = PolicyServer(lambda: Runner.load(folder), port=0)
     threading.Thread(target=server.run, daemon=True).start()
-    served = Client(f"ws://127.0.0.1:{server.port}")
+
+    def played(agent, num_envs):
+        env = knowarm.ArmVectorEnv(doors.config, num_envs)
+        steps = knowarm.play(agent, env, doors.episodes).steps
+        return [steps.actions[steps.episode == i] for i in range(count)]
+
+    def served(num_envs):
+        """Play with a connection per environment, of which a server takes eight."""
+        return played(Client(f"ws://127.0.0.1:{server.port}"), num_envs)
+
     try:
-        for agent in (ExportedPolicy(folder), served):
-            steps = knowarm.play(agent, env, doors.episodes).steps
-            np.testing.assert_array_equal(steps.actions, expected.actions)
-            np.testing.assert_array_equal(steps.reward, expected.reward)
+        same(played(ExportedPolicy(folder), count), expected, "exported")
+        same(played(ExportedPolicy(folder), 1), expected, "exported, one by one")
+        same(served(4), expected, "served")
+        with ThreadPoolExecutor(3) as clients:
+            for actions in clients.map(served, [1, 1, 2]):
+                same(actions, expected, "served to three clients at once")
     finally:
         server.close()
 
 
 CHOOSERS = [name for name in POLICIES if "-choose-" in name]
+ASKED_SEEN = [name for name in SEEN if "-choose-" in name]
 
 
 @pytest.mark.parametrize("name", CHOOSERS)
@@ -237,3 +344,30 @@ def test_an_environment_may_show_its_objects_in_another_order_fewer_and_more(nam
     assert right["two side by side"] > 0.85
     assert right["five side by side"] > 0.75
     assert right["fewer"] > 0.6  # what is new to an agent is logged
+
+
+@pytest.mark.parametrize("count", COUNTS)
+@pytest.mark.parametrize("name", [*CHOOSERS, *ASKED_SEEN])
+def test_an_environment_of_an_edited_graph_is_played_as_evaluate_does(name, count):
+    doors = Doors(name, count)
+    task = doors.config.task.asking(split="S5")
+    env = knowarm.ArmVectorEnv(replace(doors.config, task=task), count)
+    edited = task.asked.edited_graph(env.facets)
+    evaluated = knowarm.evaluate(
+        doors.trained,
+        episodes=count,
+        test=(SplitTest(split="S5"),),
+        probes=(),
+        write=False,
+    )
+    episodes = knowarm.evaluation_episodes(env.config, count, doors.seed)
+    other = knowarm.load_agent(ZOO / name, graph=edited)
+    result = knowarm.play(other, env, episodes)
+    for column, values in {
+        "return": result.episode_return,
+        "length": result.length,
+        "distance_m": result.distance,
+    }.items():
+        np.testing.assert_array_equal(evaluated.episodes[column], values)
+    by_own = knowarm.play(doors.trained, env, episodes)
+    assert not np.array_equal(by_own.episode_return, result.episode_return)

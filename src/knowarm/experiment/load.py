@@ -56,7 +56,8 @@ class TrainedAgent:
     _reported_questions: bool = field(default=False, init=False)
     # Whether the next step is the first
     _is_new: bool | None = field(default=None, init=False)
-    _names: np.ndarray | None = field(default=None, init=False)
+    # What is known of the episodes that started, fields of a `Batch`
+    _start: dict[str, Any] = field(default_factory=dict, init=False)
 
     def reset(self, batch: Batch | Mapping[str, Any]) -> None:
         """Forget everything: episodes start, one or several side by side.
@@ -71,9 +72,11 @@ class TrainedAgent:
             UserError: the infos lack the facet or query, or the agent does not know it.
         """
         self._is_new = True
-        self._names = None
+        self._start = {}
+        if isinstance(batch, Batch):
+            self._start = {"joints": batch.joints, "facts": batch.facts}
         if self.agent.depends_on_rows:
-            self._names = self._known_names(batch)
+            self._start["names"] = self._known_names(batch)
         self._report_new(batch)
 
     def _known_names(self, batch: Batch | Mapping[str, Any]) -> np.ndarray:
@@ -85,7 +88,7 @@ class TrainedAgent:
                 f"The knowledge of this agent depends on the info {info!r} of the episode: pass "
                 "the infos of the environment's reset, agent.reset(info)."
             )
-        names = np.array(infos[info], np.str_).reshape(-1)
+        names = np.array(_texts(infos, info), np.str_)
         known = dict.fromkeys(row_names(self.config.env), 0)
         find_rows(f"{info} of {self.config.name}", names, known)
         return names
@@ -103,16 +106,14 @@ class TrainedAgent:
         Raises:
             UserError: no episodes have started, or another number; the image is another one.
         """
-        if isinstance(observations, Mapping):
-            observations = observations["image"]
-        shape = np.shape(observations)
-        images = np.asarray(observations).reshape(-1, *shape[-3:])
-        env = self.config.env
+        if not isinstance(observations, Mapping):
+            observations = {"image": observations}
+        image = np.asarray(observations["image"])
+        images = image.reshape(-1, *image.shape[-3:])
         if self._is_new:
-            names = self._names
-            if names is None:
-                names = np.repeat(row_names(env)[:1], len(images))
-            self.player.reset(Batch(env=env, names=names))
+            env = self.config.env
+            names = np.repeat(row_names(env)[:1], len(images))
+            self.player.reset(Batch(**{"env": env, "names": names, **self._start}))
             self._is_new = False
         started = 0 if self._is_new is None else len(self.agent.rows)
         if len(images) != started:
@@ -120,8 +121,8 @@ class TrainedAgent:
                 f"{started} episodes have started, and there are {len(images)} images: call "
                 "reset(info) whenever environments are reset."
             )
-        actions = self.player.act({"image": images})
-        return actions.reshape(*shape[:-3], -1)
+        actions = self.player.act({**observations, "image": images})
+        return actions.reshape(*image.shape[:-3], -1)
 
     @cached_property
     def player(self) -> PolicyAgent | SolvingAgent:
@@ -149,7 +150,7 @@ class TrainedAgent:
     def _report_new(self, batch: Batch | Mapping[str, Any]) -> None:
         """Log objects that training never showed, once each; and once, questions of the kind."""
         if isinstance(batch, Batch):
-            facets = sorted("/".join(facet) for facet in shown_in(batch.env))
+            facets = ["/".join(facet) for facet in shown_in(batch.env)]
             questions = list(batch.queries or ())
         else:
             facets = _texts(batch, "facet")
@@ -162,7 +163,7 @@ class TrainedAgent:
             if facet not in shown:
                 objects.add(f"{colour} {name}" if name in seen else name)
         self._report("showed", objects - self._reported)
-        self._reported.update(objects)
+        self._reported |= objects
         if not self._reported_questions:
             unasked = set(questions) - asked
             self._report("asked", unasked)
@@ -241,7 +242,6 @@ def load_agent(
     """
     folder = open_run(path)
     config = folder.experiment()
-    table = folder.knowledge()
     stored = folder.provenance().policy
     checkpoint = None
     if which != "untrained":
@@ -275,19 +275,17 @@ def load_agent(
     elif config.knows.grounding is not None:
         network = stored_network(config, folder)
     training = config.env
-    sources: dict[str, Any] = {"table": table}
+    sources: dict[str, Any] = {"table": folder.knowledge()}
     if graph is not None:
         config = _knowing(config, graph)
         sources = {}
     knowledge = config.knows.known(config.env, config.seed, network=network, **sources)
-    if graph is not None:
-        table = knowledge.table
     generator = torch.Generator().manual_seed(seed)
     agent = knowledge.make_agent(policy, greedy=greedy, generator=generator)
     return TrainedAgent(
         agent,
         policy,
-        table,
+        knowledge.table,
         network,
         config,
         folder,

@@ -118,7 +118,7 @@ class SolvingAgent:
         if not batch.joints:
             raise UserError(
                 "An agent that sees and solves needs the arm's joint angles as episodes start: "
-                "play it by `evaluate`, `ask`, `view` or `record`, or give Batch.joints."
+                "play it by `knowarm.play`, `evaluate`, `ask`, `view` or `record`."
             )
         self._agent.reset(batch)
         self.notes = {}
