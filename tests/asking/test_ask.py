@@ -381,9 +381,10 @@ def test_labels_never_cover_each_other(asker):
 
 
 def test_a_query_that_takes_long_keeps_nobody_waiting(served, monkeypatch):
-    answered = threading.Event()
+    begun, answered = threading.Event(), threading.Event()
 
     def limited(*_):
+        begun.set()
         assert answered.wait(100)
         raise UserError("it needs more than 60 s")
 
@@ -393,6 +394,7 @@ def test_a_query_that_takes_long_keeps_nobody_waiting(served, monkeypatch):
         target=lambda: pages.append(get(served, "/?q=SELECT+*+%7B%7D")[1])
     )
     waiting.start()
+    assert begun.wait(100)
     assert "Answers in the graph" in get(served, "/?q=usedFor+drinking")[1]
     answered.set()
     waiting.join()

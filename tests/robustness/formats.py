@@ -42,6 +42,7 @@ from knowarm.learn.checkpoint import read_checkpoint
 from knowarm.perception.grounding import GroundingNetwork
 from knowarm.report import write_report
 from knowarm.report.collect import collect
+from tests.robustness.further_formats import further_readers
 from tests.robustness.mutator import mutate
 from tests.robustness.packs import pack_readers
 from tests.tiny import CHOOSE, CHOOSE_NAME, short
@@ -155,6 +156,7 @@ def make_formats(folder: Path) -> list[Format]:
         *_run(folder / "runs"),
         *_perception(folder / "perception"),
         *(Format(*each) for each in pack_readers(folder / "packs")),
+        *(Format(*each) for each in further_readers(folder / "further")),
         *_texts(folder),
     ]
 

@@ -35,7 +35,7 @@ CAMPAIGNS: dict[str, tuple[int, Callable[[int, int], Result]]] = {
     "kill -9": (20, kill_study),
     "killed commands": (20, kill_commands),
     "full disks, other users": (100, refuse_writes),
-    "mutations of files": (20_000, mutations),
+    "mutations of files": (26_500, mutations),
     "injected file errors": (500, inject_file_errors),
     "links": (300, links),
     "clocks": (3_000, clocks),
