@@ -103,8 +103,9 @@ class Ask(TableCommand):
             if self.unclear == "ask" and asked.stopped:
                 picked = _pick(asked.candidates or asked.named)
                 if picked is not None:
-                    chosen = {"picked": picked, "where": asked.where}
-                    asked = asker.play(asked.answers, asked.scene, **chosen)
+                    answers = asked.answers
+                    where = asked.where
+                    asked = asker.play(answers, asked.scene, picked=picked, where=where)
                     print(printable(asked.outcome))
         if self.page is not None:
             write_page(Path(self.page), asked, question, self.edit)
