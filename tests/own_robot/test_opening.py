@@ -406,7 +406,7 @@ NO_FINGERS = {
     ),
     "one jaw": (
         ARM.replace(RIGHT, ""),
-        "left moves alone across the hand, and lifting closes two fingers by the same way",
+        "left moves alone across the hand, and skills close two fingers by the same way",
     ),
     "joints without ranges": (
         hinged(("", ""), ("", ""), ALONG + TIPS),

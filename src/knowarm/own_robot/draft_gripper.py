@@ -253,7 +253,7 @@ def _open_fingers(
     if len(pair) < 2:
         alone = model.body(model.geom_bodyid[fingers[0][0]]).name
         raise UserError(
-            f"{alone} moves alone across the hand, and lifting closes two fingers by the same way, "
+            f"{alone} moves alone across the hand, and skills close two fingers by the same way, "
             "which a fixed jaw cannot follow"
         )
     if len(drivers) > MOST_DRIVERS:
