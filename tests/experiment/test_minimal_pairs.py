@@ -6,7 +6,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from knowarm.benchmark.suites import read_suite
 from knowarm.errors import UserError
 from knowarm.experiment import minimal_pairs
 from knowarm.experiment.evaluate import evaluate
@@ -211,19 +210,6 @@ def test_the_shipped_policy_is_measured_by_the_public_door():
     assert numbers["flips"].estimate == result.episodes["flips"][has_pair].mean()
     assert set(result.summary.groups["fact_kind"]) >= {""}
     assert result.summary.label == "post-training-greedy-s1-stop-pairs"
-
-
-def test_the_episodes_are_those_of_the_frozen_suite():
-    cell = read_suite("choose-v1").cells["irb120-S1"]
-    config = EvaluationConfig(
-        test=(SplitTest(split="S1"),), distance_m=0.05, angle_deg=15.0
-    )
-    env = config.prepare(Subject(env=CHOOSE)).env
-    episodes = evaluation_episodes(env, 40, SUITE_SEED)
-    for name in ("objects", "colours", "positions", "question", "joint_offsets"):
-        assert np.array_equal(
-            getattr(cell.episodes, name)[:40], getattr(episodes, name)
-        )
 
 
 def test_what_has_no_facts_to_edit_is_refused_before_anything_is_played():
