@@ -184,6 +184,10 @@ DOORS_OF_SEEN = {
 
 
 COUNTS = [3, pytest.param(40, marks=pytest.mark.slow(40))]
+COUNTS_OF_SEEN = [
+    pytest.param(3, marks=pytest.mark.slow(15)),
+    pytest.param(40, marks=pytest.mark.slow(300)),
+]
 
 
 def compare(doors, others):
@@ -215,7 +219,7 @@ def test_every_door_gives_the_actions_of_evaluate(name, count, tmp_path):
     same(doors.recorded(tmp_path / "dataset"), expected, "record")
 
 
-@pytest.mark.parametrize("count", COUNTS)
+@pytest.mark.parametrize("count", COUNTS_OF_SEEN)
 @pytest.mark.parametrize("name", SEEN)
 def test_what_sees_and_solves_acts_alike_where_joint_angles_are_told(
     name, count, tmp_path
