@@ -11,6 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from knowarm.benchmark.suites import read_suite
+from knowarm.world.envs.episodes import evaluation_episodes
 from scripts import build_pairs
 from scripts.build_pairs import Run, page, planned, verdicts
 
@@ -150,12 +152,23 @@ def test_arms_whose_seeds_miss_are_said_to_be_begun_and_nothing_else():
     arms["acts", ""].pop()
     lines = verdicts(arms, SEEDS)
     assert not any("`acts`" in line for line in lines)
-    text = page(arms, SEEDS)
+    text = " ".join(page(arms, SEEDS).split())
     assert "23 of 24 evaluations are there: begun." in text
     assert "Training seeds miss in 1 of 4 arms" in text
     del arms["irb120-choose-bm-distil", ""]
     assert verdicts(arms, SEEDS) == []
     assert "not begun" in page({("x-fast", ""): arm("x", 1, 0.5, 0)}, SEEDS)
+
+
+def test_the_declared_episodes_are_those_of_the_frozen_suite():
+    study = build_pairs.read_study("minimal-pairs")
+    (config,) = study.evaluations
+    cell = read_suite("choose-v1").cells["irb120-S1"]
+    assert config.episodes == len(cell.episodes)
+    episodes = evaluation_episodes(cell.env, 40, config.seed)
+    for name in ("objects", "colours", "positions", "question", "joint_offsets"):
+        stored = getattr(cell.episodes, name)[:40]
+        assert np.array_equal(stored, getattr(episodes, name))
 
 
 def test_the_declared_arms_are_those_of_the_studies():

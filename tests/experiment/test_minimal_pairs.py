@@ -11,10 +11,8 @@ from knowarm.experiment import minimal_pairs
 from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.evaluation import (
     DamageTest,
-    EvaluationConfig,
     ReasoningTest,
     SplitTest,
-    Subject,
 )
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.minimal_pairs import (
