@@ -361,7 +361,7 @@ def test_binding_tells_whether_an_agent_follows_its_question(monkeypatch):
     reset = PolicyAgent.reset
 
     def deaf(agent, batch):
-        reset(agent, replace(batch, names=batch.names[[0] * batch.size]))
+        reset(agent, replace(batch, own_rows=batch.rows[[0] * batch.size]))
 
     monkeypatch.setattr(PolicyAgent, "reset", deaf)
     ignoring = evaluate(trained, config=config, write=False).summary
