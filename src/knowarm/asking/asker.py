@@ -98,7 +98,9 @@ class Asked:
     def as_read(self) -> str:
         """The question as it was read, and where the object has to be put if that is named."""
         read = self.answers.as_read
-        return f"{read}, to the tray: {self.where}" if self.where else read
+        if self.where:
+            return f"{read}, to the tray: {self.where}"
+        return read
 
     @property
     def right(self) -> bool:

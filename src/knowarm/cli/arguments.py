@@ -299,7 +299,9 @@ def _print_help(
 
 def _hint(default: str) -> str:
     """Return what the help says of a default value; nothing of one that says nothing."""
-    return f"(default: {default})" if default not in ("", "None", "False") else ""
+    if default in ("", "None", "False"):
+        return ""
+    return f"(default: {default})"
 
 
 def _groups(config: Any, prefix: str = "") -> Iterator[str]:

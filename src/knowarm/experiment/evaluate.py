@@ -269,7 +269,9 @@ def agent_for_test(
     """Return the agent that plays a test, with what it knows in it."""
     if trained is None:
         is_made = hasattr(agent, "act") and not isinstance(agent, type)
-        return cast(AgentProtocol, agent) if is_made else cast(MakeAgent, agent)(env)
+        if is_made:
+            return cast(AgentProtocol, agent)
+        return cast(MakeAgent, agent)(env)
     informed = known_in_test(trained, subject)
     check_fits(trained, env, knows_task=informed is not trained.agent)
     if subject.seen is not None:

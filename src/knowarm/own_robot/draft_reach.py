@@ -73,7 +73,9 @@ def reach_m(scene: Scene) -> float:
     high = max(0.1, scene.grasp_position[:, 2].max() * 1.5)
     near = (z > 0) & (z < high)
     distance = np.hypot(x[near], y[near])
-    return float(np.percentile(distance, 95)) if len(distance) >= 10 else 0.0
+    if len(distance) < 10:
+        return 0.0
+    return float(np.percentile(distance, 95))
 
 
 def find_layout(

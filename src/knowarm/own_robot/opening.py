@@ -200,7 +200,9 @@ class Motion:
             turn = data.xmat[parent].reshape(3, 3)
             begins.append(data.xpos[parent] + turn @ model.body_pos[first])
         between = (begins[0] - begins[1]) @ across
-        return float(between) if abs(between) > SAME_M else 0.0
+        if abs(between) > SAME_M:
+            return float(between)
+        return 0.0
 
     def drivers_of(self, groups: Sequence[Ids]) -> Ids:
         """Return the joints that drive groups of geoms."""

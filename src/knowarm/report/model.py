@@ -184,7 +184,9 @@ class RunData:
         if not np.isfinite(success).all():
             return 0.0
         end = float(self.interim["step"][-1])
-        return self.config.total_steps if self.ended_early and end else end
+        if self.ended_early and end:
+            return self.config.total_steps
+        return end
 
     def lasts(self, until: float) -> bool:
         """Whether success is known until a step, give or take a rollout, or its rule ended it."""

@@ -191,7 +191,9 @@ def _plain(value: Any, start: Path) -> Any:
     if isinstance(value, Path):
         return Path(os.path.relpath(value, start)).as_posix()
     if isinstance(value, float):
-        return float(f"{value:.{DIGITS}g}") if math.isfinite(value) else None
+        if math.isfinite(value):
+            return float(f"{value:.{DIGITS}g}")
+        return None
     return value
 
 

@@ -17,9 +17,7 @@ from knowarm.knowledge.graph.terms import NAMESPACE, is_iri, name_of_iri, parse_
 
 NAMES = tomllib.loads(Path(__file__).with_name("columns.toml").read_text("utf-8"))
 """Names of columns, of which the file tells."""
-PAIRS: tuple[tuple[str, str], ...] = tuple(
-    (head, tail) for head, tail in NAMES["pairs"]
-)
+PAIRS: tuple[tuple[str, str], ...] = tuple(map(tuple, NAMES["pairs"]))
 """Names of head and tail that stand beside each other, the surest first."""
 ROLES = {
     "head": tuple(dict.fromkeys(map(itemgetter(0), PAIRS))),

@@ -143,7 +143,9 @@ def _read_conceptnet(document: Any, records: Records) -> None:
 
 def _identifier(term: Any) -> str:
     """Return the identifier of a term, which is an object or the identifier itself."""
-    return str(term.get("@id", "")) if isinstance(term, dict) else str(term)
+    if isinstance(term, dict):
+        return str(term.get("@id", ""))
+    return str(term)
 
 
 def _is_hextuple(value: Any) -> bool:

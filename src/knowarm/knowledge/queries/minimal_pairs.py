@@ -117,5 +117,5 @@ class Question:
             abs(degrees[first] - degrees[old]) + abs(degrees[second] - degrees[new])
             for first, second in pairs
         ]
-        for number in np.lexsort([rng.random(len(pairs)), unlike]):
+        for number in np.lexsort((rng.random(len(pairs)), np.array(unlike))):
             yield pairs[number]
