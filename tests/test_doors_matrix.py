@@ -186,7 +186,7 @@ DOORS_OF_SEEN = {
 COUNTS = [3, pytest.param(40, marks=pytest.mark.slow(40))]
 COUNTS_OF_SEEN = [
     pytest.param(3, marks=pytest.mark.slow(15)),
-    pytest.param(40, marks=pytest.mark.slow(300)),
+    pytest.param(12, marks=pytest.mark.slow(90)),
 ]
 
 
