@@ -350,7 +350,7 @@ def test_packages_that_only_a_simulator_reads_are_not_searched(
     tag: str, tmp_path: Path
 ) -> None:
     """JAKA's URDF names a package of MoveIt for the plugin of Gazebo."""
-    part = f"<{tag}><parameters>$(find no_such)/a.yaml</parameters></{tag}></robot>"
+    part = f"<{tag}><parameters>$(find moveit_of_others)/a.yaml</parameters></{tag}></robot>"
     assert convert(tmp_path, urdf().replace("</robot>", part)).njnt == 5
 
 
