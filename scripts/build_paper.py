@@ -7,6 +7,7 @@ learner that of `docs/results/answer.md`.
 """
 
 import argparse
+import csv
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -35,6 +36,7 @@ from scripts.paper_claims import Row, fast_claims
 
 ROOT = Path(__file__).parents[1]
 PACK = RESULTS / "paper-a3c.tar.xz"
+BEFORE = RESULTS / "paper-a3c-before.csv"
 JOINTS_BOX = Box(width=320, height=190, left=40, top=26)
 FRAMES, SIDE = 8, 96
 """Images of a film strip, and their size [px]."""
@@ -64,13 +66,14 @@ one environment, {total:g} million steps, [near start](../reference/world.md#nea
 training seed, so no difference of two agents is a result; 1,000 new episodes by the best model so
 far, that with the highest mean return of the interim evaluations (40 episodes every 50,000 steps).
 *Fast*: the protocol of the [answer](answer.md), far start. Accuracy counts the distance alone (10
-cm), success the angle, too (17 degrees). [Outcomes were declared before the first
+cm), success the angle, too (17 degrees). *List*: success of the best fixed list of actions, which
+sees nothing; *frozen*: of the network on the first image alone. [Outcomes were declared before
+the first
 run](../decisions.md#the-outcomes-of-the-papers-experiment-are-declared-before-its-first-run)."""
 
-CURVES = """Begun cells: percent of the best model; *list*, the best fixed list of actions, which
-sees nothing; *frozen*, the network on the first image alone; mean return of the last {count}
-interim evaluations (a million steps). No run is stopped for what it shows. Two earlier trainings
-that were stopped in the drop: [lab notes](../lab-notes/a3c.md)."""
+CURVES = """Begun cells: percent of the best model; mean return of the last {count} interim
+evaluations (a million steps). No run is stopped for what it shows. Two earlier trainings were
+stopped in the drop, {earlier} ([lab notes](../lab-notes/a3c.md), `paper-a3c-before.csv`)."""
 
 OUTCOMES = {
     "accuracy at 10 cm": ("post-training-greedy", "accuracy", "distance"),
@@ -202,9 +205,14 @@ def cells_table(sources: Sources) -> str:
                 row.append(steps_of(own.best_run))
             else:
                 row.append(steps_of(begun[0].runs[0]) if begun else "not begun")
-            row.append(percent(quick.scores("accuracy")) if quick else "")
+            if quick:
+                count = str(len(quick.evaluations))
+                row += [percent(quick.scores("accuracy")), count, *blind(quick)]
+            else:
+                row += [""] * (2 + len(BLIND))
             rows.append(row)
     columns = ["cell", "agent", "paper: accuracy", "A3C: steps", "fast: accuracy"]
+    columns += ["seeds", "list", "frozen"]
     return table(columns, rows)
 
 
@@ -268,6 +276,15 @@ def courses(tasks: Sequence[TaskData]) -> str:
     columns = ["cell", "agent", "accuracy", "success", "list", "frozen"]
     columns += ["best model at", "highest", "largest fall", "now"]
     return table(columns, rows)
+
+
+def earlier() -> str:
+    """Say which trainings were stopped before this study, and where."""
+    runs = []
+    for row in csv.DictReader(BEFORE.read_text(encoding="utf-8").splitlines()):
+        part = float(row["steps_million"]) / float(row["of_million"])
+        runs.append(f"`{row['experiment']}` at {100 * part:.0f} %")
+    return " and ".join(runs)
 
 
 def a3c_claims(tasks: Sequence[TaskData]) -> list[Row]:
@@ -454,7 +471,7 @@ def page(sources: Sources, images: Path) -> str:
         PROTOCOL.format(total=total),
         "## Curves of A3C",
         "![Interim returns of A3C](../images/paper-curves.svg)",
-        CURVES.format(count=SMOOTHED),
+        CURVES.format(count=SMOOTHED, earlier=earlier()),
         courses(tasks),
     ]
     outcomes = outcome_rows(tasks)
