@@ -154,7 +154,7 @@ def test_help_of_evaluate_has_examples_and_no_subcommands(capsys):
 
     first = shown("--help")
     assert "knowarm evaluate oracle --env.robot tiago --env.task choose" in first
-    assert len(re.findall(r"^[│ ] --\w", first, re.MULTILINE)) == 10
+    assert len(re.findall(r"^[│ ] --\w", first, re.MULTILINE)) == 11
     assert "env.randomization.light" in shown("oracle", "--help", "env.randomization")
     everything = shown("--help-all")
     assert "--repair" in everything
