@@ -138,6 +138,8 @@ def wrapped(text: str) -> str:
         if block.startswith(("|", "<!--", "#")):
             lines.append(block)
             continue
+        # MyST takes a line that begins with % for a comment.
+        block = re.sub(r"\s+%", "\0%", block)
         items = [re.sub(r"\s+", " ", item) for item in re.split(r"\n(?=- )", block)]
         indents = ["  " * item.startswith("- ") for item in items]
         filled = [
@@ -145,7 +147,7 @@ def wrapped(text: str) -> str:
             for item, indent in zip(items, indents, strict=True)
         ]
         lines.append("\n".join(filled))
-    return "\n\n".join(lines)
+    return "\n\n".join(lines).replace("\0", " ")
 
 
 def main() -> None:

@@ -259,6 +259,18 @@ def test_links_lead_somewhere():
     assert not lines, "\n".join([f"{len(lines)} offenders:", *lines])
 
 
+def hidden_lines(text):
+    """Return the lines that MyST takes for comments, and leaves out of the page."""
+    return [line for line in FENCE.sub("", text).splitlines() if line.startswith("%")]
+
+
+def test_no_line_is_left_out_of_a_page_as_a_comment():
+    pages = documents() | files("docs", suffix=".md")
+    lines = {path: hidden_lines(text) for path, text in pages.items()}
+    assert not {path: found for path, found in lines.items() if found}
+    assert hidden_lines("at most 80\n% success") == ["% success"]
+
+
 def test_a_broken_link_is_found():
     text = "# A title\n[a](README.md) [b](none.md) [c](#a-title) [d](#none)"
     assert list(broken_links("README.md", text)) == ["none.md", "#none"]
