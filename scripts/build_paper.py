@@ -9,7 +9,7 @@ learner that of `docs/results/answer.md`.
 import argparse
 import csv
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,6 +33,16 @@ from scripts.answer_outcomes import Decided
 from scripts.build_answer import RESULTS, STUDIES, wrapped
 from scripts.figures import picture
 from scripts.paper_claims import Row, fast_claims
+from scripts.paper_courses import (
+    ARMS,
+    ASYNCHRONOUS,
+    FIXED,
+    SMOOTHED,
+    Course,
+    arms_part,
+    is_complete,
+    schedules_part,
+)
 
 ROOT = Path(__file__).parents[1]
 PACK = RESULTS / "paper-a3c.tar.xz"
@@ -40,14 +50,14 @@ BEFORE = RESULTS / "paper-a3c-before.csv"
 JOINTS_BOX = Box(width=320, height=190, left=40, top=26)
 FRAMES, SIDE = 8, 96
 """Images of a film strip, and their size [px]."""
-SMOOTHED = 20
-"""Interim evaluations of a running mean: a million steps."""
 CELLS = [
     (robot, colours)
     for robot in ("irb120", "tiago")
     for colours in ("fixed", "randomized")
 ]
 AGENTS = ("bm", "partial", "full")
+COURSES = (*ARMS, FIXED, ASYNCHRONOUS)
+"""Studies beside that of the twelve cells."""
 BLIND = ("open-loop", "frozen")
 
 HEAD = """<!-- Written by scripts/build_paper.py from the packs; do not edit. -->
@@ -105,6 +115,8 @@ class Sources:
 
     a3c: Sequence[TaskData]
     fast: Sequence[StudyData]
+    courses: Mapping[str, StudyData]
+    """Studies of `scripts.paper_courses` that are packed, by their names."""
 
     @classmethod
     @contextmanager
@@ -118,7 +130,18 @@ class Sources:
                 unpack_study(RESULTS / f"{name}.tar.xz", Path(temporary) / name)
                 for name in STUDIES
             ]
-            yield cls(collect([folder]).tasks, [collect([each]) for each in fast])
+            packed = [name for name in COURSES if (RESULTS / f"{name}.tar.xz").exists()]
+            courses = {
+                name: collect(
+                    [unpack_study(RESULTS / f"{name}.tar.xz", Path(temporary) / name)]
+                )
+                for name in packed
+            }
+            yield cls(
+                a3c=collect([folder]).tasks,
+                fast=[collect([each]) for each in fast],
+                courses=courses,
+            )
 
 
 def of(tasks: Sequence[TaskData], cell: tuple[str, str], agent: str) -> Group | None:
@@ -166,11 +189,6 @@ def state(tasks: Sequence[TaskData]) -> str:
             f"{total:.0f} million steps"
         )
     return words
-
-
-def is_complete(run: RunData) -> bool:
-    """Return whether a run has taken all its steps."""
-    return run.steps_done >= run.config.total_steps
 
 
 def steps_of(run: RunData) -> str:
@@ -224,33 +242,6 @@ def played(group: Group) -> Row:
     return [*map(share, scores), *blind(group)]
 
 
-@dataclass(frozen=True)
-class Course:
-    """Running mean of a run's interim returns."""
-
-    steps: np.ndarray
-    """Step of the last evaluation of each mean, (n,)."""
-    means: np.ndarray
-
-    @classmethod
-    def of(cls, run: RunData) -> "Course | None":
-        """Return the course of a run; None before the first mean."""
-        returns = run.interim["return_mean"]
-        if len(returns) < SMOOTHED:
-            return None
-        means = np.convolve(returns, np.full(SMOOTHED, 1 / SMOOTHED), "valid")
-        return cls(run.interim["step"][SMOOTHED - 1 :], means)
-
-    @property
-    def fall(self) -> tuple[float, float, float]:
-        """The largest fall from the highest mean before: size, step before it, step of it."""
-        highest = np.maximum.accumulate(self.means)
-        end = int((highest - self.means).argmax())
-        start = int(self.means[: end + 1].argmax())
-        fallen = float(highest[end] - self.means[end])
-        return fallen, float(self.steps[start]), float(self.steps[end])
-
-
 def courses(tasks: Sequence[TaskData]) -> str:
     """Return a table of the curves of all runs."""
     rows = []
@@ -287,8 +278,34 @@ def earlier() -> str:
     return " and ".join(runs)
 
 
-def a3c_claims(tasks: Sequence[TaskData]) -> list[Row]:
-    """Return the rows of the sentences that only the paper's algorithm can judge."""
+def constant_run(tasks: Sequence[TaskData]) -> RunData | None:
+    """Return the run of the paper's numbers that the arms and schedules share a cell with."""
+    for task in tasks:
+        for group in task.groups:
+            if (task.key, group.agent) == (("irb120", "randomized"), "bm"):
+                return group.runs[0]
+    return None
+
+
+def course_parts(sources: Sources) -> list[str]:
+    """Return the parts of the page on one number changed and on the schedules."""
+    parts = []
+    constant = constant_run(sources.a3c)
+    arms = {name: sources.courses[name] for name in ARMS if name in sources.courses}
+    if constant and len(arms) == len(ARMS):
+        parts += arms_part(constant, arms)
+    if FIXED in sources.courses and ASYNCHRONOUS in sources.courses:
+        parts += schedules_part(sources.courses[FIXED], sources.courses[ASYNCHRONOUS])
+    return parts
+
+
+def a3c_claims(tasks: Sequence[TaskData], is_compared: bool) -> list[Row]:
+    """Return the rows of the sentences that only the paper's algorithm can judge.
+
+    Args:
+        tasks: Cells of the paper's algorithm.
+        is_compared: Whether the page shows a training whose rate falls.
+    """
     falls = []
     for task in tasks:
         for group in task.groups:
@@ -309,8 +326,10 @@ def a3c_claims(tasks: Sequence[TaskData]) -> list[Row]:
         [
             "The constant learning rate may be why (6)",
             "no run without",
-            "study `paper-a3c-decay`, begun",
-            "open",
+            "[beside a falling rate](#one-number-changed)"
+            if is_compared
+            else "study `paper-a3c-decay`, begun",
+            "one network each" if is_compared else "open",
         ],
         [
             "Joints vary less with knowledge (5.3)",
@@ -460,7 +479,10 @@ def page(sources: Sources, images: Path) -> str:
     known = Decided.of(sources.fast, [cell.task for cell in cells])
     claims = fast_claims(cells, known)
     assert all("not found" in verdict for *_, verdict in claims[:4]), "write the lead"
-    claims += a3c_claims(tasks)
+    beside = course_parts(sources)
+    claims += a3c_claims(
+        tasks, is_compared=any("One number" in part for part in beside)
+    )
     parts = [
         HEAD,
         LEAD.format(state=state(tasks)),
@@ -473,6 +495,7 @@ def page(sources: Sources, images: Path) -> str:
         "![Interim returns of A3C](../images/paper-curves.svg)",
         CURVES.format(count=SMOOTHED, earlier=earlier()),
         courses(tasks),
+        *beside,
     ]
     outcomes = outcome_rows(tasks)
     if outcomes:

@@ -9,7 +9,13 @@ from knowarm.report.collect import collect
 from knowarm.study import driver
 from knowarm.study.config import read_study
 from knowarm.study.driver import run_study
-from scripts.build_paper import OUTCOMES, PACK, Course, Sources, main, margin, page
+from scripts.build_paper import OUTCOMES, PACK, Sources, main, margin, page
+from scripts.paper_courses import (
+    ARMS,
+    Course,
+    arms_part,
+    schedules_part,
+)
 from tests.study.tiny import InlineExecutor
 
 TOML = """
@@ -82,6 +88,65 @@ def test_the_largest_fall_is_that_from_the_highest_mean_before():
     assert (fallen, before, after) == (pytest.approx(6), 2e6, 3e6)
     few = {"return_mean": returns[:19], "step": steps[:19]}
     assert Course.of(SimpleNamespace(interim=few)) is None
+
+
+def course_run(returns, every, total, name="run"):
+    """A run with interim evaluations of these returns, that succeed where they are positive."""
+    steps = every * np.arange(1, len(returns) + 1)
+    returns = np.array(returns, float)
+    rate = (returns > 0).astype(float)
+    interim = {"step": steps, "return_mean": returns, "success": rate, "accuracy": rate}
+    metrics = {"step": steps, "wall_time_s": steps / 100.0}
+    return SimpleNamespace(
+        path=name,
+        interim=interim,
+        metrics=metrics,
+        steps_done=float(steps[-1]),
+        config=SimpleNamespace(total_steps=total),
+    )
+
+
+def study_of(*runs):
+    return SimpleNamespace(tasks=[SimpleNamespace(runs=list(runs))])
+
+
+def test_arms_are_compared_over_the_same_last_steps_and_only_when_complete():
+    constant = course_run([10.0] * 25 + [-5.0] * 5 + [99.0] * 30, 1_000_000, 70_000_000)
+    arm = course_run([-10.0] * 20 + [10.0] * 10, 1_000_000, 30_000_000)
+    arms = {name: study_of(arm) for name in ARMS}
+    _, text, rows = arms_part(constant, arms)
+    assert "up to 30 million steps" in text.replace("\n", " ")
+    cells = {
+        row.split(" | ")[0].strip("| "): row.split(" | ")[1:]
+        for row in rows.splitlines()
+    }
+    # Running means of 20: 10 at 20 M, then the five falls, (15 * 10 - 5 * 5) / 20 = 6.25 at 30 M.
+    assert cells["the paper's"][:3] == ["-5", "0.0", "0.0"]
+    assert cells["the paper's"][4].startswith("4, ")
+    assert "to 30.0 M" in cells["the paper's"][4]
+    assert cells["rate falling to 0"][:3] == ["+10", "100.0", "100.0"]
+    assert cells["rate falling to 0"][4].startswith("0, ")
+    begun = course_run([-10.0] * 30, 900_000, 30_000_000)
+    assert arms_part(constant, {**arms, "paper-a3c-decay": study_of(begun)}) == []
+    assert arms_part(constant, {"paper-a3c-decay": study_of(arm)}) == []
+
+
+def test_schedules_are_compared_by_seeds_and_only_when_complete():
+    fixed = [
+        course_run([0.0] * 30 + [level] * 10, 50_000, 2_000_000) for level in (1, 2, 3)
+    ]
+    other = [
+        course_run([0.0] * 30 + [level] * 10, 50_000, 2_000_000) for level in (5, 6, 7)
+    ]
+    _, text, rows = schedules_part(study_of(*fixed), study_of(*other))
+    assert "3 training seeds" in text
+    # Welch's t of two times three values one apart: 4 +- 2.776 * sqrt(2 / 3).
+    assert "| return | 2.0 | 6.0 | +4.0 [+1.7, +6.3] |" in rows
+    assert "| return, all steps | 0.5 | 1.5 | +1.0 [+0.4, +1.6] |" in rows
+    assert "| steps per second | 100 | 100 | " in rows
+    begun = course_run([0.0] * 30, 50_000, 2_000_000)
+    assert schedules_part(study_of(*fixed[:2], begun), study_of(*other)) == []
+    assert schedules_part(study_of(*fixed), study_of(*other[:2])) == []
 
 
 @pytest.mark.slow(30)

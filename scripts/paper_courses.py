@@ -1,0 +1,167 @@
+"""Courses of the paper's A3C: its falls, its curve with one number changed, its two schedules.
+
+The outcomes are those that the studies `paper-a3c-decay` and `paper-a3c-asynchronous` declare.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from knowarm.report.model import RunData, Runs, StudyData
+from knowarm.statistics import welch
+from scripts.answer_cells import plus, signed, table
+
+SMOOTHED = 20
+"""Interim evaluations of a running mean: a million steps."""
+ARMS = {
+    "paper-a3c-decay": "rate falling to 0",
+    "paper-a3c-rewards": "rewards of a hundredth",
+}
+"""Studies that change one number of the paper, and what they change."""
+FIXED, ASYNCHRONOUS = "paper-a3c-fixed", "paper-a3c-asynchronous"
+LAST_OF_ARM, LAST_OF_SCHEDULE = 5_000_000, 500_000
+"""Steps at the end whose interim evaluations are compared."""
+MEASURES = ("return_mean", "success", "accuracy")
+
+ARMS_TEXT = """IRB120, randomized colours, `bm`, one training seed from the same initial weights:
+the paper's constant rate up to {until:g} million steps, and one number changed at a time. Return,
+success and accuracy are means of the interim evaluations of the last {last:g} million steps. One
+seed screens; it decides nothing."""
+
+SCHEDULES_TEXT = """The same cell, the first {until:g} of 70 million steps: a process per worker,
+as in the paper, and the fixed schedule of all other runs. {seeds} training seeds; difference of the
+means with a 95 % interval (Welch). {seeds} seeds find a difference as large as their scatter, and
+none that is smaller."""
+
+SCHEDULE_OUTCOMES = (
+    "return",
+    "success [%]",
+    "accuracy [%]",
+    "return, all steps",
+    "steps per second",
+)
+
+
+@dataclass(frozen=True)
+class Course:
+    """Running mean of a run's interim returns."""
+
+    steps: np.ndarray
+    """Step of the last evaluation of each mean, (n,)."""
+    means: np.ndarray
+
+    @classmethod
+    def of(cls, run: RunData, until: float = np.inf) -> "Course | None":
+        """Return the course of a run up to a step; None before the first mean."""
+        taken = run.interim["step"] <= until
+        steps = run.interim["step"][taken]
+        returns = run.interim["return_mean"][taken]
+        if len(returns) < SMOOTHED:
+            return None
+        means = np.convolve(returns, np.full(SMOOTHED, 1 / SMOOTHED), "valid")
+        return cls(steps[SMOOTHED - 1 :], means)
+
+    @property
+    def fall(self) -> tuple[float, float, float]:
+        """The largest fall from the highest mean before: size, step before it, step of it."""
+        highest = np.maximum.accumulate(self.means)
+        end = int((highest - self.means).argmax())
+        start = int(self.means[: end + 1].argmax())
+        fallen = float(highest[end] - self.means[end])
+        return fallen, float(self.steps[start]), float(self.steps[end])
+
+
+def is_complete(run: RunData) -> bool:
+    """Return whether a run has taken all its steps."""
+    return run.steps_done >= run.config.total_steps
+
+
+def only_run(study: StudyData) -> RunData:
+    """Return the run of a study that has one."""
+    (task,) = study.tasks
+    (run,) = task.runs
+    return run
+
+
+def last_means(run: RunData, until: float, last: float) -> list[float]:
+    """Return the means of `MEASURES` over the interim evaluations of the last steps."""
+    steps = run.interim["step"]
+    is_last = (steps > until - last) & (steps <= until)
+    return [float(run.interim[measure][is_last].mean()) for measure in MEASURES]
+
+
+def arms_part(constant: RunData, arms: dict[str, StudyData]) -> list[str]:
+    """Return heading, text and table of the arms; nothing before all are complete.
+
+    Args:
+        constant: Run of the paper's own numbers.
+        arms: Studies by the names of `ARMS`.
+    """
+    runs = {name: only_run(study) for name, study in arms.items()}
+    if runs.keys() != ARMS.keys() or not all(map(is_complete, runs.values())):
+        return []
+    until = max(run.steps_done for run in runs.values())
+    rows = [arm_row("the paper's", constant, until)]
+    rows += [arm_row(ARMS[name], run, until) for name, run in runs.items()]
+    total = max(run.config.total_steps for run in runs.values())
+    text = ARMS_TEXT.format(until=total / 1e6, last=LAST_OF_ARM / 1e6)
+    columns = ["numbers", "return", "success", "accuracy", "highest", "largest fall"]
+    return ["## One number changed", text, table(columns, rows)]
+
+
+def arm_row(name: str, run: RunData, until: float) -> list[str]:
+    """Return the declared outcomes of an arm."""
+    course = Course.of(run, until)
+    assert course is not None, f"{run.path} has fewer than {SMOOTHED} evaluations"
+    mean, success, accuracy = last_means(run, until, LAST_OF_ARM)
+    highest = int(course.means.argmax())
+    fallen, before, after = course.fall
+    return [
+        name,
+        plus(mean),
+        f"{100 * success:.1f}",
+        f"{100 * accuracy:.1f}",
+        f"{plus(course.means[highest])} at {course.steps[highest] / 1e6:.1f} M",
+        f"{fallen:.0f}, {before / 1e6:.1f} to {after / 1e6:.1f} M",
+    ]
+
+
+def schedules_part(fixed: StudyData, asynchronous: StudyData) -> list[str]:
+    """Return heading, text and table of the two schedules; nothing before both are complete."""
+    runs = [study.tasks[0].runs for study in (fixed, asynchronous)]
+    every_run = [*runs[0], *runs[1]]
+    if len(runs[0]) != len(runs[1]) or not all(map(is_complete, every_run)):
+        return []
+    rows = []
+    outcomes = [schedule_outcomes(each) for each in runs]
+    for column, name in enumerate(SCHEDULE_OUTCOMES):
+        of_fixed = outcomes[0][:, column]
+        of_asynchronous = outcomes[1][:, column]
+        difference = welch(of_asynchronous, of_fixed).difference
+        digits = 0 if name == "steps per second" else 1
+        means = [
+            f"{values.mean():.{digits}f}" for values in (of_fixed, of_asynchronous)
+        ]
+        rows.append([name, *means, signed(difference, 1, digits)])
+    total = every_run[0].config.total_steps
+    text = SCHEDULES_TEXT.format(until=total / 1e6, seeds=len(runs[0]))
+    columns = ["", "fixed", "asynchronous", "difference"]
+    return ["## Asynchronous workers", text, table(columns, rows)]
+
+
+def schedule_outcomes(runs: Runs) -> np.ndarray:
+    """Return the declared outcomes of each run, (runs, `SCHEDULE_OUTCOMES`) float64."""
+    rows = []
+    for run in runs:
+        mean, success, accuracy = last_means(run, run.steps_done, LAST_OF_SCHEDULE)
+        seconds = float(run.metrics["wall_time_s"][-1])
+        rows.append(
+            [
+                mean,
+                100 * success,
+                100 * accuracy,
+                float(run.interim["return_mean"].mean()),
+                float(run.metrics["step"][-1]) / seconds,
+            ]
+        )
+    return np.array(rows)
