@@ -1,3 +1,7 @@
+import hashlib
+import json
+from itertools import combinations
+
 import numpy as np
 import pytest
 
@@ -6,7 +10,7 @@ from knowarm.knowledge import graph_of
 from knowarm.knowledge.formats import shipped_graph
 from knowarm.knowledge.graph.builder import difference, union
 from knowarm.knowledge.graph.edits import edited
-from knowarm.knowledge.queries.splits import query_splits
+from knowarm.knowledge.queries.splits import SEEDS, query_splits
 from knowarm.questions import Query
 from tests.knowledge.choice import CHOICE, OBJECTS
 
@@ -143,6 +147,58 @@ def test_the_same_seed_gives_the_same_tables_and_another_one_others():
     assert one.held_out.objects != other.held_out.objects
     assert one.held_out.values != other.held_out.values
     assert one.held_out.pairs != other.held_out.pairs
+
+
+DRAWS = {
+    "published": "10208f457e8e74b4",
+    "validation": "f145d54e7dc80576",
+    "test": "31b22a1ae0fc0a56",
+}
+"""Digest of what each declared draw holds out and edits."""
+
+
+def digest(draw):
+    """Digest what a draw holds out and edits."""
+    held = draw.held_out
+    text = json.dumps(
+        [
+            {split: sorted(names) for split, names in sorted(held.new.items())},
+            sorted(held.values),
+            sorted((condition.name, name) for condition, name in held.pairs),
+            sorted(set(draw.edited) ^ set(GRAPH)),
+        ]
+    )
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+@pytest.fixture(scope="module")
+def declared():
+    return {
+        name: query_splits(GRAPH, CHOICE, seed=seed) for name, seed in SEEDS.items()
+    }
+
+
+def test_the_declared_draws_are_what_they_were(declared):
+    assert {name: digest(draw) for name, draw in declared.items()} == DRAWS
+
+
+def test_no_declared_draw_tests_what_another_one_tests(declared):
+    for draw in declared.values():
+        assert set(draw.tests) == {"S1", "S2", "S3", "S4", "S5"}
+        assert len(draw.held_out.objects) == len(draw.held_out.values) == 6
+        assert len(draw.held_out.pairs) > 60
+        assert len(draw.held_out.swapped) == 8
+    for one, other in combinations(declared.values(), 2):
+        for what in ("objects", "values", "pairs", "swapped"):
+            both = getattr(one.held_out, what) & getattr(other.held_out, what)
+            assert not both, what
+        for name in ("S2", "S3", "S4", "S5"):
+            assert not questions(one.test(name)) & questions(other.test(name)), name
+
+
+def test_a_seed_that_is_not_declared_leaves_nothing_alone(declared):
+    assert query_splits(GRAPH, CHOICE, seed=8).held_out.earlier == ()
+    assert [len(draw.held_out.earlier) for draw in declared.values()] == [0, 1, 2]
 
 
 def test_what_is_held_out_does_not_depend_on_the_order_of_the_facets():

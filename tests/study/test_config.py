@@ -8,6 +8,7 @@ from knowarm.errors import UserError
 from knowarm.experiment.agents import AGENTS, controls_of
 from knowarm.experiment.build import build
 from knowarm.experiment.names import ExperimentName, experiment_config
+from knowarm.knowledge.queries.splits import SEEDS
 from knowarm.study.config import (
     SHIPPED,
     ExperimentGrid,
@@ -166,6 +167,38 @@ def test_controls_of_a_study_of_choosing_have_its_task(tmp_path):
     assert {run.env for run in control.runs()} <= {
         run.env for run in read_study("choose").runs()
     }
+
+
+@pytest.mark.parametrize("studied", ["answers-distil", "families", "choose"])
+@pytest.mark.parametrize("draw", ["validation", "test"])
+def test_a_draw_repeats_a_study_and_changes_nothing_but_the_draw(studied, draw):
+    base = read_study(studied)
+    study = read_study(f"{draw}-draw", of=studied)
+    seed = SEEDS[draw]
+    assert {run.env.task.asked.queries.seed for run in study.runs()} == {seed}
+    assert {each.seed for each in study.evaluations} == {seed}
+    published = {run.env.task.asked.queries.seed for run in base.runs()}
+    assert published == {SEEDS["published"]}
+    again = [
+        dataclasses.replace(
+            run, env=dataclasses.replace(run.env, task=run.env.task.asking(seed=0))
+        )
+        for run in study.runs()
+    ]
+    assert again == base.runs()
+    first = base.evaluations[0].seed
+    assert [dataclasses.replace(each, seed=first) for each in study.evaluations] == [
+        *base.evaluations
+    ]
+
+
+def test_a_draw_is_a_declared_one_of_a_study_with_questions(tmp_path):
+    assert read_study("test-draw", of="families").name == "families-test-draw"
+    text = 'name = "mine"\nredraws = "choose"\ndraw = "lucky"\n'
+    with pytest.raises(UserError, match=r"'lucky'.*validation"):
+        read(tmp_path, text)
+    with pytest.raises(UserError, match="queries"):
+        read_study("test-draw", of="smoke")
 
 
 def test_a_grid_has_a_task(tmp_path):

@@ -152,7 +152,7 @@ class StudyShow:
     study: Annotated[str | None, Positional, arg(metavar="[STUDY]")] = None
     """Name of a shipped study, TOML file or folder of a study. Default: list the shipped ones."""
     of: FilePath = None
-    """For the controls: the study whose agents they control."""
+    """Of controls: the study whose agents they control. Of a draw: the study that it repeats."""
 
     def run(self) -> None:
         """Print it."""
@@ -186,7 +186,7 @@ class StudyRun:
     out: FolderPath = None
     """Folder of the study. Default: runs/NAME, or the given folder."""
     of: FilePath = None
-    """For the controls: the study whose agents they control."""
+    """Of controls: the study whose agents they control. Of a draw: the study that it repeats."""
     seeds: Annotated[tuple[int, ...], arg(metavar="SEED...")] = ()
     """Training seeds instead of the study's."""
     executor: Literal["local", "ray"] | None = None

@@ -24,6 +24,7 @@ from knowarm.experiment.names import (
     override_experiment,
     tasks_of,
 )
+from knowarm.knowledge.queries.splits import SEEDS
 from knowarm.reading import read_json, read_text, read_toml, write_json
 from knowarm.study.executor import RunKey, Where
 from knowarm.world.description import check_trusted, trust
@@ -214,7 +215,8 @@ def read_study(source: Path | str, *, of: Path | str | None = None) -> StudyConf
     Args:
         source: name of a shipped study, a TOML file, or the folder of a study that was started;
             a folder with the name of a shipped study as ``./NAME``, or as a ``Path``.
-        of: for a study of controls, the study whose agents they control.
+        of: for a study of controls, the study whose agents they control; for one of a draw, the
+            study that it repeats.
 
     Raises:
         UserError: there is no such study, or it is not valid; for a TOML file with file and line.
@@ -237,14 +239,22 @@ def read_study(source: Path | str, *, of: Path | str | None = None) -> StudyConf
     values = read_toml(path)
     try:
         controlled = values.pop("controls_of", None)
-        if controlled is not None:
-            source_of = of or controlled
+        redrawn = values.pop("redraws", None)
+        usual = controlled or redrawn
+        if usual is not None:
+            source_of = of or usual
             studied = read_study(source_of)
-            if str(source_of) != controlled:
+            if str(source_of) != usual:
                 values["name"] = f"{studied.name}-{values['name']}"
-            values = to_dict(controls(studied)) | values
+            if redrawn is not None:
+                studied = redraw(studied, values.pop("draw", None))
+            else:
+                studied = controls(studied)
+            values = to_dict(studied) | values
         elif of is not None:
-            raise UserError(f"{source} is no study of controls: leave out 'of'.")
+            raise UserError(
+                f"{source} is no study of controls or of a draw: leave out 'of'."
+            )
         return from_dict(StudyConfig, values)
     except UserError as error:
         line = _line(read_text(path, remedy="Restore the file."), str(error))
@@ -289,6 +299,27 @@ def controls(study: StudyConfig) -> StudyConfig:
         experiments=tuple(names),
         grid=None,
         overrides_for=tuple(rules),
+    )
+
+
+def redraw(study: StudyConfig, draw: str) -> StudyConfig:
+    """Return a study of questions of a graph on another declared draw, with other episodes.
+
+    The draw's seed decides what training holds out, what is edited, and the episodes of the
+    evaluations; see `SEEDS`.
+    """
+    if draw not in SEEDS:
+        raise unknown_name("draw", draw, SEEDS)
+    seed = SEEDS[draw]
+    fields = {"env": {"task": {"asked": {"queries": {"seed": seed}}}}}
+    held_out = OverridesFor(experiments="*", fields=fields)
+    evaluations = [
+        dataclasses.replace(evaluation, seed=seed) for evaluation in study.evaluations
+    ]
+    return dataclasses.replace(
+        study,
+        overrides_for=(*study.overrides_for, held_out),
+        evaluations=tuple(evaluations),
     )
 
 

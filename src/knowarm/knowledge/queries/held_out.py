@@ -8,7 +8,7 @@ from collections import Counter, defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import combinations
+from itertools import combinations, filterfalse
 from operator import attrgetter
 
 import numpy as np
@@ -42,6 +42,10 @@ class HeldOutQuestions:
     values: _Names = field(default_factory=set)
     # Conditions and objects that training never asks together (S2)
     pairs: set[tuple[Condition, str]] = field(default_factory=set)
+    # Conditions whose objects an edit changed (S5)
+    swapped: set[Condition] = field(default_factory=set)
+    # Draws whose held-out objects, kinds, values, pairs and edits this one leaves alone
+    earlier: tuple["HeldOutQuestions", ...] = ()
 
     @property
     def facts(self) -> list[Condition]:
@@ -52,24 +56,28 @@ class HeldOutQuestions:
         """Hold out objects; each condition keeps half of its objects or more (S3)."""
         names = sorted(self.asked.objects)
         wanted = max(per_episode + 1, round(SHARES["S3"] * len(names)))
-        self._hold("S3", self._some(rng, names, wanted, per_episode))
+        held = self._some(rng, names, wanted, per_episode, self._new_before("S3"))
+        self._hold("S3", held)
 
     def hold_kinds(self, rng: Generator, per_episode: int) -> None:
         """Hold out all instances of some kinds; each condition keeps half of its kinds (S3b)."""
         kinds = set(map(kind_of, self._instances()))
         wanted = max(2, round(SHARES["S3b"] * len(kinds)))
-        held = self._some(rng, sorted(kinds), wanted, per_episode)
+        spared = set(map(kind_of, self._new_before("S3b")))
+        held = self._some(rng, sorted(kinds), wanted, per_episode, spared)
         instances = {name for name in self.asked.objects if kind_of(name) in held}
         self._hold("S3b", instances)
 
     def hold_instances(self, rng: Generator, per_episode: int) -> None:
         """Hold out some instances of each kind that training shows (S3a)."""
         shown = sorted(self._instances() - self.objects)
+        spared = self._new_before("S3a")
         held = _Names()
         for kind in sorted(set(map(kind_of, shown))):
             names = [name for name in shown if kind_of(name) == kind]
             count = round(SHARES["S3a"] * len(names))
-            held.update(rng.permutation(names)[:count].tolist())
+            drawn = rng.permutation(names).tolist()
+            held.update(list(filterfalse(spared.__contains__, drawn))[:count])
         if len(set(map(kind_of, held))) <= per_episode:
             raise UserError(
                 f"the objects have instances of {per_episode} kinds or fewer, of which some could "
@@ -81,12 +89,21 @@ class HeldOutQuestions:
         """Return the objects that are instances of a kind."""
         return {name for name in self.asked.objects if kind_of(name) != name}
 
+    def _new_before(self, split: str) -> _Names:
+        """Return the objects that earlier draws held out for a split."""
+        return _Names().union(*[draw.new.get(split, ()) for draw in self.earlier])
+
     def _hold(self, split: str, names: _Names) -> None:
         self.new[split] = names
         self.objects |= names
 
     def _some(
-        self, rng: Generator, names: list[str], wanted: int, per_episode: int
+        self,
+        rng: Generator,
+        names: list[str],
+        wanted: int,
+        per_episode: int,
+        spared: _Names,
     ) -> _Names:
         """Draw objects or kinds such that each condition keeps half of them or more."""
         shared = list[_Names]()  # objects or kinds of each condition
@@ -97,7 +114,7 @@ class HeldOutQuestions:
         held = _Names()
         for name in rng.permutation(names).tolist():
             larger = held | {name}
-            if len(larger) > wanted:
+            if len(larger) > wanted or name in spared:
                 continue
             if all(2 * len(larger & some) <= len(some) for some in shared):
                 held = larger
@@ -118,11 +135,13 @@ class HeldOutQuestions:
         links = self._links(values)
         answering = self._with_values(values)
         wanted = max(1, round(SHARES["S4"] * len(values)))
+        spared = _Names().union(*[draw.values for draw in self.earlier])
         held = _Names()
         beside = 0
         for name in rng.permutation(sorted(values)).tolist():
             larger = held | {name}
-            if len(larger) > wanted and beside >= per_episode - 1:
+            is_enough = len(larger) > wanted and beside >= per_episode - 1
+            if is_enough or name in spared:
                 continue
             is_linked = all(links[value] - larger for value in larger)
             if is_linked and self._with_values(values - larger) == answering:
@@ -145,6 +164,9 @@ class HeldOutQuestions:
         conditions_of = Counter[str]()
         facts_of = Counter[str]()
         held_of = Counter[str]()
+        spared = set[tuple[Condition, str]]()
+        for draw in self.earlier:
+            spared.update((condition, kind_of(name)) for condition, name in draw.pairs)
         for condition, names in self.holders.items():
             kinds = set(map(kind_of, names))
             conditions_of.update(kinds)
@@ -162,6 +184,8 @@ class HeldOutQuestions:
             free = list[str]()
             for kind in member_kinds:
                 keeps_fact = condition.is_seen or facts_of[kind] > 1
+                if (condition, kind) in spared:
+                    continue
                 if keeps_fact and held_of[kind] < conditions_of[kind] // 3:
                     free.append(kind)
             drawn = rng.permutation(free).tolist()
@@ -246,7 +270,10 @@ class HeldOutQuestions:
     def is_new_pair(self, queries: Sequence[Query]) -> Mask:
         """Return which are questions of S2, (Q, O)."""
         objects, values, pairs = self._left_out(queries)
-        return pairs & ~(objects | values)
+        new = pairs & ~(objects | values)
+        for draw in self.earlier:
+            new &= ~draw.is_new_pair(queries)
+        return new
 
     def is_new_object(self, queries: Sequence[Query]) -> Mask:
         """Return which are questions of S3, S3a or S3b, (Q, O)."""
@@ -273,8 +300,11 @@ def draw_edits(held: HeldOutQuestions, rng: Generator) -> KnowledgeGraph:
     every old answer is a new one as well.
     """
     graph = held.asked.graph
+    spared = set[Condition]().union(*[draw.swapped for draw in held.earlier])
     free = list[Condition]()
     for condition in held.facts:
+        if condition in spared:
+            continue
         is_shown = not held.objects.issuperset(held.holders[condition])
         if is_shown and condition.value not in held.values:
             free.append(condition)
@@ -296,6 +326,7 @@ def draw_edits(held: HeldOutQuestions, rng: Generator) -> KnowledgeGraph:
             "no two values of one relation belong to different objects, so none can be swapped. "
             "Add facts, or give an edited graph of your own."
         )
+    held.swapped = set(swapped)
     triples = graph.triples
     for old, new in swapped.items():
         holders = list(map(graph.entity_id, held.holders[old]))

@@ -4,6 +4,7 @@ One training table serves all tests, so that one trained policy takes them all.
 """
 
 from collections.abc import Callable, Collection, Iterable, Sequence
+from contextlib import suppress
 from functools import cached_property
 from itertools import compress, filterfalse
 from typing import Literal, NamedTuple
@@ -46,6 +47,12 @@ DRAWN = {
 }
 """Splits that hold something out of training, in the order of the draws: the number of the stream
 that each draws from, and the draw."""
+
+SEEDS = {"published": 0, "validation": 7_100_003, "test": 7_200_003}
+"""Seeds of the declared draws; each leaves alone what those before it hold out or edit.
+
+Networks and settings were chosen on the first one. Choices are to be made on the second, and nobody
+looks at the third before they are made."""
 
 NEW_OBJECTS = ("S3", "S3a", "S3b")
 """Those whose tests show objects that training never shows."""
@@ -90,9 +97,10 @@ def query_splits(
 ) -> QuerySplits:
     """Draw what is held out, and make the table of training and those of the tests.
 
-    Each split draws from its own stream of the seed. Only the splits in ``hold_out`` have a test. A
-    question needs as many distractors as there are objects per episode, less one. ``edited`` is the
-    graph of S5; None draws one by `draw_edits`. ``report`` receives a line before each step.
+    Each split draws from its own stream of the seed; see `SEEDS` for declared ones. Only the splits
+    in ``hold_out`` have a test. A question needs as many distractors as there are objects per
+    episode, less one. ``edited`` is the graph of S5; None draws one by `draw_edits`. ``report``
+    receives a line before each step.
     """
     for name in hold_out:
         if name not in DRAWN:
@@ -100,18 +108,15 @@ def query_splits(
     asked = QueryGraph(graph, facets)
     report(f"Queries about {len(asked.objects):,} objects ...")
     maker = _Maker(asked, pairs, objects)
+    for declared in _before(seed):
+        _hold_out(maker.held, declared, hold_out, objects)
+        with suppress(UserError):
+            _draw_edits(maker.held, declared)
+        maker.draw_again()
     held = maker.held
-    reasons = dict.fromkeys(HELD_OUT, NOT_NAMED)
-    drawn = list[str]()
-    for name, (number, hold) in DRAWN.items():
-        rng = np.random.default_rng(seed_sequence(seed, "splits", number))
-        try:
-            if name in hold_out:
-                report(f"What {name} holds out ...")
-                hold(held, rng, objects)
-                drawn.append(name)
-        except UserError as error:
-            reasons[name] = str(error)
+    failed = _hold_out(held, seed, hold_out, objects, report)
+    drawn = [name for name in hold_out if name not in failed]
+    reasons = dict.fromkeys(HELD_OUT, NOT_NAMED) | failed
     report(f"Questions of training, out of {len(maker.queries):,} queries ...")
     train = maker.table(held.in_training)
     if train is None:
@@ -130,8 +135,7 @@ def query_splits(
     report("Questions of S5 ...")
     try:
         if edited is None:
-            rng = np.random.default_rng(seed_sequence(seed, "splits", 5))
-            edited = draw_edits(held, rng)
+            edited = _draw_edits(held, seed)
         tables["S5"] = maker.edited_table(edited)
     except UserError as error:
         reasons["S5"] = str(error)
@@ -150,6 +154,38 @@ def query_splits(
     return QuerySplits(train, tests, reasons, held, edited)
 
 
+def _before(seed: int) -> list[int]:
+    """Return the declared seeds whose draws a seed leaves alone."""
+    seeds = list(SEEDS.values())
+    return seeds[: seeds.index(seed)] if seed in seeds else []
+
+
+def _hold_out(
+    held: HeldOutQuestions,
+    seed: int,
+    splits: Collection[str],
+    objects: int,
+    report: Callable[[str], object] = str,
+) -> dict[str, str]:
+    """Draw what each split holds out; return why some of them hold out nothing."""
+    failed = {}
+    for name, (number, hold) in DRAWN.items():
+        if name not in splits:
+            continue
+        report(f"What {name} holds out ...")
+        rng = np.random.default_rng(seed_sequence(seed, "splits", number))
+        try:
+            hold(held, rng, objects)
+        except UserError as error:
+            failed[name] = str(error)
+    return failed
+
+
+def _draw_edits(held: HeldOutQuestions, seed: int) -> KnowledgeGraph:
+    """Draw the edits of S5 from the stream of a seed."""
+    return draw_edits(held, np.random.default_rng(seed_sequence(seed, "splits", 5)))
+
+
 class _Maker:
     """Makes tables from rules about queries and objects."""
 
@@ -165,6 +201,11 @@ class _Maker:
                 names = {asked.objects[number] for number in asked.owner[row]}
                 holders[query.conditions[0]] = sorted(names)
         self.held = HeldOutQuestions(asked, holders)
+
+    def draw_again(self) -> None:
+        """Begin a draw that leaves alone what was drawn so far."""
+        earlier = (*self.held.earlier, self.held)
+        self.held = HeldOutQuestions(self.asked, self.held.holders, earlier=earlier)
 
     @cached_property
     def related(self) -> Mask:

@@ -4,6 +4,7 @@ import re
 import sys
 from collections import Counter
 from dataclasses import replace
+from itertools import combinations, product
 from pathlib import Path
 
 import mujoco
@@ -14,6 +15,7 @@ import torch
 from knowarm.errors import UserError
 from knowarm.experiment.names import experiment_config
 from knowarm.knowledge.formats import shipped_graph
+from knowarm.knowledge.queries.splits import SEEDS
 from knowarm.perception.encoder import PlaceEncoder
 from knowarm.perception.looks import attribute_codes, code_matrix, look_of
 from knowarm.questions import kind_of
@@ -26,6 +28,7 @@ from knowarm.world.objects import find_targets
 from knowarm.world.scene.mjcf import read_mjcf
 from knowarm.world.tasks.asked.family.families import (
     FAMILIES,
+    FAMILY_COLOURS,
     INSTANCES,
     KINDS,
     facts,
@@ -201,6 +204,28 @@ def tables():
     for split in SPLITS[1:]:
         splits[split] = replace(config.env, task=config.env.task.asking(split=split))
     return {split: questions_of(env) for split, env in splits.items()}
+
+
+@pytest.fixture(scope="module")
+def draws():
+    facets = tuple(product(FAMILIES, FAMILY_COLOURS))
+    queries = AskInstance().queries
+    return [
+        replace(queries, seed=seed).splits(facets, 4).held_out
+        for seed in SEEDS.values()
+    ]
+
+
+def test_declared_draws_hold_out_other_kinds_and_instances(draws):
+    for one, other in combinations(draws, 2):
+        assert not one.new["S3a"] & other.new["S3a"]
+        kinds = [set(map(kind_of, draw.new["S3b"])) for draw in (one, other)]
+        assert [len(each) for each in kinds] == [4, 4]
+        assert not kinds[0] & kinds[1]
+        assert not one.values & other.values
+        assert not one.swapped & other.swapped
+        pairs = [{(c, kind_of(n)) for c, n in draw.pairs} for draw in (one, other)]
+        assert not pairs[0] & pairs[1]
 
 
 def shown(table) -> set[str]:

@@ -92,7 +92,8 @@ class GraphQueries(QuerySource):
     pairs: Pairs = "colour"
     """Which queries have two conditions: "none", a fact and a "colour", or "all"."""
     seed: int = 0
-    """Seed of what is held out."""
+    """Seed of what is held out; 7_100_003 and 7_200_003 are the declared draws of validation and
+    test, which leave alone what the published draw, 0, holds out."""
     edited: str | None = None
     """Path of the graph of S5; None draws its edits."""
 
