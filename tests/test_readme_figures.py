@@ -13,6 +13,7 @@ import pytest
 
 from knowarm.report.collect import collect
 from knowarm.statistics import wilson
+from knowarm.study.config import SHIPPED
 from knowarm.study.pack import unpack_study
 from scripts.build_paper import PACK, state
 from tests.test_answer_page import CELLS, agents_of
@@ -302,12 +303,66 @@ def test_learning_has_the_medians_of_all_runs():
     assert f"`fast` {ends} million in the median" in (RESULTS / "README.md").read_text()
 
 
-def test_every_file_of_results_is_listed():
-    listed = (RESULTS / "README.md").read_text("utf-8").split("## Data")[1]
-    for file in RESULTS.iterdir():
-        if file.suffix not in (".md", ".html") and file.name != "benchmark":
-            assert f"`{file.name}`" in listed, file.name
-    assert "`benchmark/rows`" in listed
+def data_of_pages():
+    """Return what the table of data names, by the pages of its rows."""
+    table = (RESULTS / "README.md").read_text("utf-8").split("## Data")[1]
+    found = {}
+    for pages, data in re.findall(r"^\| (\[.+?) \| (.+) \|$", table, re.M):
+        names = re.findall(r"`(.+?)`", data)
+        for page in re.findall(r"\]\(([\w/-]+\.md)\)", pages):
+            found[page] = names
+    return found
+
+
+def test_every_file_of_results_is_listed_and_every_listed_one_is_there():
+    listed = {name for names in data_of_pages().values() for name in names}
+    files = {
+        file.name for file in RESULTS.iterdir() if file.suffix not in (".md", ".html")
+    }
+    assert files - {"benchmark"} <= listed
+    assert "benchmark/rows" in listed
+    others = {"zoo/", *SHIPPED}
+    for name in listed - others:
+        assert (RESULTS / name).exists(), name
+
+
+def test_every_page_of_results_has_data_or_a_command():
+    listed = data_of_pages()
+    for page in RESULTS.glob("*.md"):
+        text = page.read_text("utf-8")
+        if page.name == "README.md" or listed.get(page.name):
+            continue
+        if page.name == "answer-cells.md":
+            assert "`answer-comparisons.csv`" in text
+            continue
+        commands = re.findall(r"python\s+-m\s+benchmarks\.(\w+)", text)
+        assert commands or re.search(r"`knowarm\s", text), page.name
+        for name in commands:
+            assert (ROOT / "benchmarks" / f"{name}.py").exists(), name
+
+
+def test_imitation_has_the_medians_and_ranges_of_all_runs():
+    runs = defaultdict(list)
+    for run in json.loads((RESULTS / "imitation.json").read_text("utf-8")):
+        runs[run["run"].split("/")[0]].append(run)
+    page = (RESULTS / "learning.md").read_text("utf-8")
+    rows = re.findall(r"^\| `([\w-]+-distil)` \| (.+) \|$", page, re.M)
+    assert sorted(name for name, _ in rows) == sorted(runs)
+    columns = {
+        "steps to 80 %": (1000, 0.5),
+        "seconds": (1, 0.051),
+        "success %": (1, 0.051),
+        "all seconds": (1, 0.051),
+    }
+    for name, row in rows:
+        assert len(runs[name]) == 10
+        for cell, (column, (unit, near)) in zip(
+            row.split(" | "), columns.items(), strict=True
+        ):
+            values = np.array([run[column] for run in runs[name]]) / unit
+            printed = [float(each) for each in re.findall(r"[\d.]+", cell)]
+            wanted = [np.median(values), values.min(), values.max()]
+            assert printed == pytest.approx(wanted, abs=near), (name, column)
 
 
 def test_learners_are_compared_at_equal_precision():
