@@ -17,7 +17,15 @@ import numpy as np
 
 from knowarm.experiment.minimal_pairs import OUTCOMES, VERSIONS, outcomes
 from knowarm.experiment.summary import Summary, read_table
-from knowarm.statistics import Interval, bootstrap, holm, mean_of_runs, welch, wilson
+from knowarm.statistics import (
+    Interval,
+    bootstrap,
+    holm,
+    mean_of_runs,
+    paired,
+    share_difference,
+    wilson,
+)
 from knowarm.study.config import StudyConfig, read_study
 from scripts.build_answer import wrapped
 from scripts.figures import dots, dots_box, picture
@@ -26,10 +34,11 @@ ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "results" / "minimal-pairs.md"
 FIGURE = ROOT / "docs" / "images" / "minimal-pairs.svg"
 STUDIES = ("minimal-pairs", "minimal-pairs-answers")
-BASELINE = "irb120-choose-bm-distil"
 CHOSEN = tuple(f"chosen_{name}" for name in VERSIONS)
 TEXTS = ("fact_kind", "fact", "target", "new_answer", "told_answer", *CHOSEN)
 COLUMNS = ("experiment", "test", "seed", "episode", *TEXTS)
+MOVED = "moved"
+"""Column of the primary outcome: points, not a share."""
 SHARES = {name.removeprefix("pair_").replace("_", " "): name for name in OUTCOMES}
 """Columns of the table, and the outcomes of which they are the shares."""
 KINDS = {"flips, shown": "shown", "flips, not shown": "not shown"}
@@ -46,14 +55,15 @@ PREFIX = "post-training-greedy-s1"
 PROTOCOL = """**Protocol.** Every episode is played in five versions with the same image and
 question; the agent is told the true graph; a graph in which the fact that decides is another
 visible object's (*flips*: it ends there); one in which a triple of the same relation and value
-moved between objects out of sight, as like those two in their number of triples as there are
+moved between objects out of sight, of as similar degree as there are
 (*false flips*: it ends elsewhere than by the true graph); one without the fact (*stays*: no joint
-is ever moved); or the question of another visible object (*follows*: it ends there). *Acts*: right,
-flips, and is right after the placebo edit. An agent that takes one of four objects at random flips
-in 25 % and acts in 1.6 %. *Shown* are facts on shape and parts, *not shown* those on use, material,
+is ever moved); or the question of another visible object (*follows*: it ends there). *Moved*:
+flips, less the ends at the same object after the placebo edit [points]; 0 for an agent that does
+not read the fact, wherever it ends. *Acts*: right, flips, and is right after the placebo edit.
+*Shown* are facts on shape and parts, *not shown* those on use, material,
 place and content. Suite `choose-v1`, split S1, of which those episodes count whose question allows
 all edits; 5 cm and 15 degrees. Fixed before any run:
-`src/knowarm/study/shipped/minimal-pairs.toml`. Data: `minimal-pairs.csv`, a line per pair."""
+`src/knowarm/study/shipped/minimal-pairs.toml`. Data: `minimal-pairs.csv`."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +85,15 @@ class Run:
             return None
         values = found[outcome][counts]
         return wilson(int(values.sum()), len(values))
+
+    def moved(self) -> Interval:
+        """Return the flips less the share that ends there after the placebo edit."""
+        new = self.columns["new_answer"]
+        deciding, placebo = (
+            wilson(int((self.columns[f"chosen_{name}"] == new).sum()), len(new))
+            for name in ("deciding", "placebo")
+        )
+        return share_difference(deciding, placebo)
 
 
 Arms = dict[tuple[str, str], list[Run]]
@@ -112,15 +131,17 @@ def read_arms(path: Path) -> Arms:
             lines.setdefault(key, []).append(line)
     arms: Arms = {}
     for (experiment, test, seed), of_run in lines.items():
-        columns = {name: np.array([line[name] for line in of_run]) for name in TEXTS}
+        columns = {
+            name: np.array([line[name] for line in of_run])
+            for name in (*TEXTS, "episode")
+        }
         run = Run(experiment, test, seed, columns)
         arms.setdefault((experiment, test), []).append(run)
     return arms
 
 
-def mean(runs: Sequence[Run], outcome: str, kind: str = "") -> Interval | None:
-    """Return the mean of a share over training seeds; of one network, its own interval."""
-    shares = [run.share(outcome, kind) for run in runs]
+def mean(shares: Sequence[Interval | None]) -> Interval | None:
+    """Return the mean over training seeds; of one network, its own interval."""
     known = [share for share in shares if share is not None]
     if not known:
         return None
@@ -142,13 +163,17 @@ def name_of(experiment: str, test: str) -> str:
 
 def table(arms: Arms) -> str:
     """Return the table: a row per arm."""
-    titles = ["arm", "networks", "pairs", *SHARES, *KINDS]
+    titles = ["arm", "networks", "pairs", MOVED, *SHARES, *KINDS]
     lines = [titles]
     for (experiment, test), runs in arms.items():
         pairs = len(runs[0].columns["target"])
         cells = [name_of(experiment, test), str(len(runs)), str(pairs)]
-        cells += [percent(mean(runs, outcome)) for outcome in SHARES.values()]
-        cells += [percent(mean(runs, "flips", kind)) for kind in KINDS.values()]
+        shares = [[run.moved() for run in runs]]
+        shares += [[run.share(each) for run in runs] for each in SHARES.values()]
+        shares += [
+            [run.share("flips", kind) for run in runs] for kind in KINDS.values()
+        ]
+        cells += [percent(mean(of_runs)) for of_runs in shares]
         lines.append(cells)
     first, *rest = [f"| {' | '.join(cells)} |" for cells in lines]
     return "\n".join([first, "|---" * len(titles) + "|", *rest])
@@ -173,35 +198,47 @@ def progress(arms: Arms, seeds: Mapping[tuple[str, str], set[int]]) -> str:
     text = f"**Studies `{'` and `'.join(STUDIES)}`**: {count} of {total} evaluations are there"
     if count == total:
         return f"{text}. None failed."
+    if count == 0:
+        return f"{text}: not begun."
     missing = sum(len(done[key]) < len(seeds[key]) for key in seeds)
-    state = "begun" if count else "not begun"
     return (
-        f"{text}: {state}. Training seeds miss in {missing} of {len(seeds)} arms, of which nothing "
-        "is said before they are there."
+        f"{text}: begun. Training seeds miss in {missing} of {len(seeds)} arms; until then the "
+        "table has the seeds that all begun arms have, and there is no verdict."
     )
 
 
+def shown(arms: Arms, seeds: Mapping[tuple[str, str], set[int]]) -> Arms:
+    """Return the arms of the studies; unless all are complete, with their common seeds."""
+    begun = {key: arms[key] for key in seeds if key in arms}
+    by_arm = {key: {run.seed for run in runs} for key, runs in begun.items()}
+    if by_arm == dict(seeds) or not begun:
+        return begun
+    common = set.intersection(*by_arm.values())
+    kept = {
+        key: [run for run in runs if run.seed in common] for key, runs in begun.items()
+    }
+    return kept if common else {}
+
+
 def verdicts(arms: Arms, seeds: Mapping[tuple[str, str], set[int]]) -> list[str]:
-    """Return the sentence on each arm whose training seeds are all there."""
-    complete = {}
+    """Return the sentence on each arm; none before all training seeds are there."""
     for key, planned_seeds in seeds.items():
-        if {run.seed for run in arms.get(key, [])} == planned_seeds:
-            complete[key] = arms[key]
-    if (BASELINE, "") not in complete:
-        return []
-    flips = {key: _values(runs, "flips") for key, runs in complete.items()}
-    others = [key for key in complete if key != (BASELINE, "")]
-    compared = [welch(flips[key], flips[BASELINE, ""]) for key in others]
+        if {run.seed for run in arms.get(key, [])} != planned_seeds:
+            return []
+    compared = []
+    for key in seeds:
+        moved = np.array([run.moved().estimate for run in arms[key]])
+        compared.append(paired(moved, np.zeros_like(moved)))
     adjusted = holm([each.p_value for each in compared])
     lines = []
-    for key, against, p in zip(others, compared, adjusted.tolist(), strict=True):
-        false = _values(complete[key], "false_flips")
-        apart = bootstrap(flips[key] - false)
-        acts = against.difference.low > 0 and p < 0.05 and apart.low > 0
+    for key, of_zero, p in zip(seeds, compared, adjusted.tolist(), strict=True):
+        false = _values(arms[key], "false_flips")
+        apart = bootstrap(_values(arms[key], "flips") - false)
+        acts = of_zero.difference.low > 0 and p < 0.05 and apart.low > 0
         verdict = "acts on the fact" if acts else "is not shown to act on the fact"
         lines.append(
-            f"- {name_of(*key)} {verdict}: flips {percent(against.difference)} points above "
-            f"`bm` (p {p:.3f}), {percent(apart)} above its false flips."
+            f"- {name_of(*key)} {verdict}: moved by {percent(of_zero.difference)} points (p "
+            f"{p:.3f}), flips {percent(apart)} points above its false flips."
         )
     return lines
 
@@ -231,9 +268,15 @@ def tests_in(arms: Arms) -> str:
     return " ".join(f"*{test}*: {TESTS[test]}" for test in played)
 
 
+def episodes(arms: Arms) -> int:
+    """Return among how many episodes of the suite the pairs of some arms lie."""
+    numbers = [run.columns["episode"] for runs in arms.values() for run in runs]
+    return 1 + max(map(int, np.concatenate(numbers)))
+
+
 def page(arms: Arms, seeds: Mapping[tuple[str, str], set[int]]) -> str:
     """Return the text of the page."""
-    study = {key: runs for key, runs in arms.items() if key in seeds}
+    study = shown(arms, seeds)
     shipped = {key: runs for key, runs in arms.items() if key not in seeds}
     parts = [
         "<!-- Written by scripts/build_pairs.py; do not edit. -->\n# Does it act on the fact?",
@@ -243,8 +286,9 @@ def page(arms: Arms, seeds: Mapping[tuple[str, str], set[int]]) -> str:
     ]
     if shipped:
         parts += [
-            "**Shipped policies**, one network each, percent with intervals over episodes: what "
-            f"these networks do, no claim on a way to train them. {tests_in(shipped)}",
+            f"**Shipped policies**, one network each, the first {episodes(shipped)} episodes, "
+            "percent with intervals over episodes: what these networks do, no claim on a way to "
+            f"train them. {tests_in(shipped)}",
             table(shipped),
         ]
     parts.append(progress(arms, seeds))
@@ -279,8 +323,11 @@ def main() -> None:
     if given.folders:
         collect(given.folders, data)
     arms = read_arms(data)
-    given.figure.write_text(figure(arms), encoding="utf-8")
-    text = page(arms, planned([read_study(name) for name in STUDIES]))
+    seeds = planned([read_study(name) for name in STUDIES])
+    shipped = {key: runs for key, runs in arms.items() if key not in seeds}
+    drawn = figure({**shipped, **shown(arms, seeds)})
+    given.figure.write_text(drawn, encoding="utf-8")
+    text = page(arms, seeds)
     given.out.write_text(text, encoding="utf-8")
 
 

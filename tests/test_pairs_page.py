@@ -14,7 +14,7 @@ import pytest
 from knowarm.benchmark.suites import read_suite
 from knowarm.world.envs.episodes import evaluation_episodes
 from scripts import build_pairs
-from scripts.build_pairs import Run, page, planned, verdicts
+from scripts.build_pairs import Run, page, planned, shown, verdicts
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "results" / "minimal-pairs.md"
@@ -38,6 +38,18 @@ def wilson(hits):
     half = Z * sqrt(share * (1 - share) / count + Z * Z / (4 * count * count))
     low, high = ((middle + sign * half) / (1 + Z * Z / count) for sign in (-1, 1))
     return [100 * share, 100 * low, 100 * high]
+
+
+def moved(lines):
+    """Return the primary outcome with Newcombe's interval in percent, by the formula."""
+    of_new, of_placebo = (
+        wilson([line[f"chosen_{version}"] == line["new_answer"] for line in lines])
+        for version in ("deciding", "placebo")
+    )
+    (first, low, high), (second, least, most) = of_new, of_placebo
+    below = sqrt((first - low) ** 2 + (most - second) ** 2)
+    above = sqrt((high - first) ** 2 + (second - least) ** 2)
+    return [first - second, first - second - below, first - second + above]
 
 
 def expected(lines):
@@ -70,9 +82,15 @@ def test_every_number_of_the_table_follows_from_the_lines():
     assert [name for name, _, _ in rows] == list(arms)
     for name, count, cells in rows:
         assert int(count) == len(arms[name])
-        for cell, hits in zip(cells.split(" | "), expected(arms[name]), strict=True):
+        first, *others = cells.split(" | ")
+        printed = [float(number) for number in re.findall(r"-?[\d.]+", first)]
+        assert printed == pytest.approx(moved(arms[name]), abs=0.051), name
+        for cell, hits in zip(others, expected(arms[name]), strict=True):
             printed = [float(number) for number in re.findall(r"[\d.]+", cell)]
             assert printed == pytest.approx(wilson(hits), abs=0.051), (name, cell)
+    last = max(int(line["episode"]) for lines in arms.values() for line in lines)
+    text = " ".join(PAGE.read_text("utf-8").split())
+    assert f"one network each, the first {last + 1} episodes" in text
 
 
 def test_the_first_sentence_follows_from_the_lines():
@@ -84,6 +102,13 @@ def test_the_first_sentence_follows_from_the_lines():
         name = pick(flips, key=flips.get)
         assert name in first
         assert re.search(rf"\b{100 * flips[name]:.0f} %", first)
+
+
+def test_the_table_of_results_has_the_primary_outcome():
+    by_arm = [moved(lines)[0] for lines in pairs_by_arm().values()]
+    most, least = (f"{each:.0f}" for each in (max(by_arm), min(by_arm)))
+    row = f"moved by {most} points if the graph answers, by {least} with its vector"
+    assert f"| {row}; one network each |" in PAGE.with_name("README.md").read_text()
 
 
 def test_page_and_figure_are_what_the_lines_say(tmp_path):
@@ -103,8 +128,11 @@ def test_page_and_figure_are_what_the_lines_say(tmp_path):
     assert drawn.read_text("utf-8") == figure.read_text("utf-8")
 
 
-def arm(experiment, seeds, flips, false_flips, pairs=40):
-    """Make runs that flip in a share of the pairs, with noise between seeds."""
+def arm(experiment, seeds, flips, false_flips, pairs=40, to="d"):
+    """Make runs that flip in a share of the pairs, with noise between seeds.
+
+    After the placebo edit they end at ``to`` in a share of the pairs; "b" is the new answer.
+    """
     runs = []
     rng = np.random.default_rng(len(experiment))
     for seed in range(seeds):
@@ -113,7 +141,8 @@ def arm(experiment, seeds, flips, false_flips, pairs=40):
         texts["fact_kind"][:] = "shown"
         texts["told_answer"][:] = "c"
         texts["chosen_deciding"][rng.random(pairs) < flips] = "b"
-        texts["chosen_placebo"][rng.random(pairs) < false_flips] = "d"
+        texts["chosen_placebo"][rng.random(pairs) < false_flips] = to
+        texts["episode"] = np.arange(pairs).astype(str)
         runs.append(Run(experiment, "", seed, texts))
     return runs
 
@@ -121,6 +150,7 @@ def arm(experiment, seeds, flips, false_flips, pairs=40):
 SEEDS = {
     ("irb120-choose-bm-distil", ""): set(range(6)),
     ("acts", ""): set(range(6)),
+    ("seldom", ""): set(range(6)),
     ("restless", ""): set(range(6)),
     ("deaf", ""): set(range(6)),
 }
@@ -128,20 +158,25 @@ SEEDS = {
 
 def made_arms():
     return {
-        ("irb120-choose-bm-distil", ""): arm("irb120-choose-bm-distil", 6, 0.25, 0.7),
+        ("irb120-choose-bm-distil", ""): arm("bm", 6, 0.25, 0.25, to="b"),
         ("acts", ""): arm("acts", 6, 0.9, 0.05),
+        ("seldom", ""): arm("seldom", 6, 0.15, 0.02),
         ("restless", ""): arm("restless", 6, 0.6, 0.7),
-        ("deaf", ""): arm("deaf", 6, 0.05, 0.02),
+        ("deaf", ""): arm("deaf", 6, 0.05, 0.05, to="b"),
     }
 
 
-def test_an_arm_acts_if_it_flips_more_than_chance_and_than_by_the_placebo():
+def test_an_arm_acts_if_the_deciding_edit_moves_it_and_the_placebo_does_not():
     lines = verdicts(made_arms(), SEEDS)
     decided = dict(
-        re.findall(r"`(\w+)` (acts on|is not shown to act on) the fact", "".join(lines))
+        re.findall(
+            r"`([\w-]+)` (acts on|is not shown to act on) the fact", "".join(lines)
+        )
     )
     assert decided == {
+        "irb120-choose-bm-distil": "is not shown to act on",
         "acts": "acts on",
+        "seldom": "acts on",  # though one that ends anywhere flips in 25 %
         "restless": "is not shown to act on",
         "deaf": "is not shown to act on",
     }
@@ -150,13 +185,15 @@ def test_an_arm_acts_if_it_flips_more_than_chance_and_than_by_the_placebo():
 def test_arms_whose_seeds_miss_are_said_to_be_begun_and_nothing_else():
     arms = made_arms()
     arms["acts", ""].pop()
-    lines = verdicts(arms, SEEDS)
-    assert not any("`acts`" in line for line in lines)
-    text = " ".join(page(arms, SEEDS).split())
-    assert "23 of 24 evaluations are there: begun." in text
-    assert "Training seeds miss in 1 of 4 arms" in text
-    del arms["irb120-choose-bm-distil", ""]
     assert verdicts(arms, SEEDS) == []
+    text = " ".join(page(arms, SEEDS).split())
+    assert "29 of 30 evaluations are there: begun." in text
+    assert "Training seeds miss in 1 of 5 arms" in text
+    assert {len(runs) for runs in shown(arms, SEEDS).values()} == {5}
+    assert "| `restless` | 5 | 40 |" in text
+    assert shown({}, SEEDS) == {}
+    arms["acts", ""] = []
+    assert shown(arms, SEEDS) == {}
     assert "not begun" in page({("x-fast", ""): arm("x", 1, 0.5, 0)}, SEEDS)
 
 
