@@ -102,6 +102,8 @@ class Comparison:
     """The same as a share of the second agent's steps."""
     success: Interval
     """Difference in success after training, 0..1."""
+    area: Interval
+    """Difference in mean success during training, 0..1."""
     p_value: float
 
     @classmethod
@@ -120,6 +122,7 @@ class Comparison:
                 *(each / base for each in (steps.estimate, steps.low, steps.high))
             ),
             welch(first.success, second.success).difference,
+            welch(first.area, second.area).difference,
             float(logrank(*samples).pvalue),
         )
 
@@ -289,7 +292,12 @@ def write_runs(cells: Sequence[Cell], path: Path) -> None:
 
 def write_comparisons(cells: Sequence[Cell], path: Path) -> None:
     """Write every comparison of two agents of a cell to a CSV file."""
-    differences = {"steps": 1, "steps_percent": 100, "success_points": 100}
+    differences = {
+        "steps": 1,
+        "steps_percent": 100,
+        "success_points": 100,
+        "mean_success_points": 100,
+    }
     columns = [f"{name}{end}" for name in differences for end in ("", "_low", "_high")]
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
@@ -297,7 +305,12 @@ def write_comparisons(cells: Sequence[Cell], path: Path) -> None:
         for cell in cells:
             adjusted = holm([compared.p_value for compared in cell.compared])
             for compared, p_value in zip(cell.compared, adjusted, strict=True):
-                intervals = (compared.steps, compared.share, compared.success)
+                intervals = (
+                    compared.steps,
+                    compared.share,
+                    compared.success,
+                    compared.area,
+                )
                 numbers = [
                     f"{scale * end:.1f}"
                     for interval, scale in zip(

@@ -20,6 +20,7 @@ from scripts.answer_cells import (
     CONTROLS,
     LEVEL,
     SIGNIFICANT,
+    Cell,
     signed,
     table,
     title_of,
@@ -106,8 +107,23 @@ def above_baseline(known: Decided, title: str, outcome: str) -> dict[str, Claim]
     }
 
 
-def outcomes_section(known: Decided) -> list[str]:
-    """Return the section with all outcomes that the reports test."""
+def untested(cells: Sequence[Cell]) -> str:
+    """Return where `partial`, which no report tests, gains most in mean success."""
+    gains = {}
+    for cell in cells:
+        for compared in cell.compared:
+            if compared.first == "partial":
+                gains[title_of(cell.task)] = compared.area
+    most = max(gains, key=lambda title: gains[title].estimate)
+    return (
+        "No report tests `partial`. Its mean success during training gains most on "
+        f"{most}: {signed(gains[most], 100, 1)} points, not corrected; others: "
+        "`answer-comparisons.csv`."
+    )
+
+
+def outcomes_section(known: Decided, cells: Sequence[Cell]) -> list[str]:
+    """Return the section with all outcomes that the reports test, and one that none tests."""
     rows = []
     for (title, name, outcome), finding in known.findings.items():
         gate = gate_of(finding)
@@ -122,7 +138,7 @@ def outcomes_section(known: Decided) -> list[str]:
             ]
         )
     columns = ["cell", "agent", "outcome", "against `bm` [points]", "p", "finding"]
-    return ["## All outcomes", OUTCOMES_TEXT, table(columns, rows)]
+    return ["## All outcomes", OUTCOMES_TEXT, table(columns, rows), untested(cells)]
 
 
 def answer(

@@ -79,7 +79,7 @@ def main_page(cells: Sequence[Cell], known: Decided, progress: str) -> list[str]
             progress=progress,
         ),
     ]
-    return [*parts, *outcomes_section(known), *anova_section(tasks), BOTTOM]
+    return [*parts, *outcomes_section(known, cells), *anova_section(tasks), BOTTOM]
 
 
 def cells_page(cells: Sequence[Cell]) -> list[str]:
