@@ -147,9 +147,7 @@ class RunFolder:
         """
         values = read_json(self.config_path)
         with reading(self.config_path, "Restore the file."):  # nested too deep
-            values = with_inputs(values, self._kept_input)
-            check_trusted(values, self.config_path)
-            return values
+            return with_inputs(values, self._kept_input)
 
     def experiment(self) -> ExperimentConfig:
         """Read the configuration that the run was started with."""
@@ -182,15 +180,18 @@ class RunFolder:
         return self.path / kind / number / Path(name).name
 
     def _kept_input(self, name: str) -> str:
-        """Return the path of the copy of an input; it is trusted as its original is."""
-        copy = self._copy(name)
+        """Return the path of the copy of an input; of a description, where it has none.
+
+        A copy of a description is read while it equals a trusted original; no trust is granted.
+        """
+        kept = str(self._copy(name))
         if not name.endswith(SUFFIX):
-            return str(copy)
-        if not copy.exists():
-            return name
-        if not distrust(name) and self.copy_of(name) == str(copy):
-            trust(str(copy))
-        return str(copy)
+            return kept
+        if not Path(kept).exists():
+            kept = name
+        if distrust(kept) and (distrust(name) or self.copy_of(name) != kept):
+            check_trusted(kept, self.config_path)
+        return kept
 
     def copy_of(self, name: str) -> str:
         """Return the path of the copy of an input; of the input, where it has none or differs."""
