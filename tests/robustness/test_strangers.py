@@ -12,7 +12,9 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from knowarm.cli.main import main
 from knowarm.config import to_dict
@@ -202,6 +204,36 @@ def test_trust_in_a_robot_ends_with_a_change_of_any_of_its_files(run, tmp_path, 
     ):
         RunFolder.open(run)
     trust([str(robot)])
+
+
+@pytest.mark.parametrize("kind", ["height field", "second folder"])
+def test_trust_ends_with_a_change_of_a_file_that_mujoco_does_not_list(
+    run, tmp_path, kind
+):
+    """It lists a height field beside the model, and a mesh in the first folder of two."""
+    robot = own_robot(tmp_path / "own")
+    opened = robot.parent / "last" / "terrain.png"
+    opened.parent.mkdir()
+    Image.fromarray(np.arange(64, dtype=np.uint8).reshape(8, 8)).save(opened)
+    extra = '<compiler meshdir="last"/>'
+    asset = '<hfield name="t" file="terrain.png" size="1 1 1 1"/>'
+    if kind == "second folder":
+        opened = opened.with_name("pad.obj")
+        shutil.copy(robot.parent / "extra.obj", opened)
+        shutil.copy(robot.parent / "extra.obj", robot.with_name("pad.obj"))
+        asset = '<mesh name="t" file="pad.obj"/>'
+    for name in ("extra.obj", "extra.xml"):
+        shutil.copy(robot.with_name(name), opened.with_name(name))
+    model = robot.with_suffix(".xml")
+    text = model.read_text().replace("</mujoco>", f"<asset>{asset}</asset></mujoco>")
+    model.write_text(text)
+    robot.with_name("included.xml").write_text(f"<mujoco>{extra}</mujoco>")
+    trust([str(robot)])
+    edit(run, "env", robot=str(robot))
+    RunFolder.open(run)
+    opened.write_bytes(opened.read_bytes() + b" ")
+    with pytest.raises(UserError, match=rf"{opened.name} has changed since you used"):
+        RunFolder.open(run)
 
 
 def test_another_robot_at_the_path_of_a_trusted_one_is_not_trusted(run, tmp_path):

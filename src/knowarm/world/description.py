@@ -48,7 +48,9 @@ def trust(values: Any) -> None:
         # A TOML file of another kind, one that cannot be used, or a cache that cannot be written
         with suppress(UserError):
             files = [Path(name).absolute(), *_model_files(Path(name))]
-            write_json(_mark(name), {str(file): _digest(file) for file in files})
+            digests = {str(file): _digest(file) for file in files}
+            if all(digests.values()):
+                write_json(_mark(name), digests)
 
 
 def check_trusted(values: Any, where: Path) -> None:
@@ -81,13 +83,12 @@ def distrust(name: str) -> str:
 
 def _digest(file: Path) -> str:
     """Return the digest of a file's content; of one that cannot be read, nothing."""
-    try:
+    with suppress(OSError, UserError):
         state = file.stat()
         # The time of the last change of a file's state cannot be set back.
         known = (state.st_ino, state.st_size, state.st_mtime_ns, state.st_ctime_ns)
         return _digest_of_state(file, known)
-    except (OSError, UserError):
-        return ""
+    return ""
 
 
 @cache
@@ -141,11 +142,29 @@ def description_files(path: Path) -> dict[str, Path | bytes]:
 def _model_files(path: Path) -> list[Path]:
     """Return the MJCF files of a description, with all meshes and textures that they name."""
     mjcf = _normal(_mjcf(read_toml(path), path))
+    with reading(mjcf, f"{str(path)!r} names it: correct it there, or in the model."):
+        return fenced(_files_of, mjcf)
+
+
+def _files_of(mjcf: Path) -> list[Path]:
+    """Return an MJCF file and the files that it names.
+
+    MuJoCo lists height fields outside the folder of meshes, and the others in the first of several
+    such folders, where it opens those in the last: these files are added.
+    """
     import mujoco  # most who read descriptions need no simulator
 
-    with reading(mjcf, f"{str(path)!r} names it: correct it there, or in the model."):
-        names = fenced(mujoco.mju_getXMLDependencies, str(mjcf))
-    return [_normal(Path(name)) for name in names]
+    listed = [_normal(Path(name)) for name in mujoco.mju_getXMLDependencies(str(mjcf))]
+    spec = mujoco.MjSpec.from_file(str(mjcf))
+    opened = {}
+    for part in (*spec.meshes, *spec.hfields, *spec.skins, *spec.textures):
+        for folder in (spec.meshdir, spec.texturedir):
+            file = _normal(mjcf.parent / folder / part.file)
+            if file.is_file():
+                opened[file] = file.name
+    names = set(opened.values())
+    listed = [file for file in listed if file.is_file() or file.name not in names]
+    return list(dict.fromkeys([*listed, *opened]))
 
 
 def _normal(path: Path) -> Path:
