@@ -212,22 +212,25 @@ def test_trust_ends_with_a_change_of_a_file_that_mujoco_does_not_list(
 ):
     """It lists a height field beside the model, and a mesh in the first folder of two."""
     robot = own_robot(tmp_path / "own")
-    opened = robot.parent / "last" / "terrain.png"
-    opened.parent.mkdir()
-    Image.fromarray(np.arange(64, dtype=np.uint8).reshape(8, 8)).save(opened)
-    extra = '<compiler meshdir="last"/>'
-    asset = '<hfield name="t" file="terrain.png" size="1 1 1 1"/>'
-    if kind == "second folder":
-        opened = opened.with_name("pad.obj")
-        shutil.copy(robot.parent / "extra.obj", opened)
-        shutil.copy(robot.parent / "extra.obj", robot.with_name("pad.obj"))
+    folders = [robot.parent / name for name in ("first", "last")]
+    for folder in folders:
+        folder.mkdir()
+        for name in ("extra.obj", "extra.xml"):
+            shutil.copy(robot.with_name(name), folder)
+    compilers = '<compiler meshdir="last"/>'
+    if kind == "height field":
+        opened = folders[1] / "terrain.png"
+        Image.fromarray(np.arange(64, dtype=np.uint8).reshape(8, 8)).save(opened)
+        asset = '<hfield name="t" file="terrain.png" size="1 1 1 1"/>'
+    else:
+        opened = folders[1] / "pad.obj"
+        for folder in folders:
+            shutil.copy(robot.with_name("extra.obj"), folder / "pad.obj")
+        compilers = '<compiler meshdir="first"/>' + compilers
         asset = '<mesh name="t" file="pad.obj"/>'
-    for name in ("extra.obj", "extra.xml"):
-        shutil.copy(robot.with_name(name), opened.with_name(name))
     model = robot.with_suffix(".xml")
-    text = model.read_text().replace("</mujoco>", f"<asset>{asset}</asset></mujoco>")
-    model.write_text(text)
-    robot.with_name("included.xml").write_text(f"<mujoco>{extra}</mujoco>")
+    extra = f"{compilers}<asset>{asset}</asset></mujoco>"
+    model.write_text(model.read_text().replace("</mujoco>", extra))
     trust([str(robot)])
     edit(run, "env", robot=str(robot))
     RunFolder.open(run)
@@ -294,10 +297,17 @@ def test_a_study_of_a_stranger_brings_no_robot_of_its_own(tmp_path):
     (tmp_path / "s").mkdir()
     values = {"format": 1, **to_dict(study)}
     (tmp_path / "s" / "study.json").write_text(json.dumps(values))
-    with pytest.raises(UserError, match="trusted like code"):
-        read_study(tmp_path / "s")
+    file = tmp_path / "s.toml"
+    file.write_text(
+        'name = "s"\nexperiments = ["full-fast"]\nseeds = [0]\n'
+        f"overrides.env.robot = '{robot}'\n"
+    )
+    for source in (tmp_path / "s", file):
+        with pytest.raises(UserError, match="trusted like code"):
+            read_study(source)
     write_study(study, tmp_path / "s")
-    assert read_study(tmp_path / "s") == study
+    for source in (tmp_path / "s", file):
+        assert read_study(source) == study
 
 
 @pytest.mark.parametrize(

@@ -237,10 +237,11 @@ def read_study(source: Path | str, *, of: Path | str | None = None) -> StudyConf
             "study (name, TOML file or folder of a study)", str(source), SHIPPED
         )
     values = read_toml(path)
+    controlled = values.pop("controls_of", None)
+    redrawn = values.pop("redraws", None)
+    usual = controlled or redrawn
+    check_trusted(values, path)
     try:
-        controlled = values.pop("controls_of", None)
-        redrawn = values.pop("redraws", None)
-        usual = controlled or redrawn
         if usual is not None:
             source_of = of or usual
             studied = read_study(source_of)
