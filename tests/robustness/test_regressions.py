@@ -13,6 +13,8 @@ from safetensors.numpy import save_file
 from safetensors.torch import load_file
 from safetensors.torch import save_file as save_tensors
 
+from knowarm.benchmark.policies import is_safe
+from knowarm.benchmark.rows import read_row
 from knowarm.cli.main import main
 from knowarm.errors import UserError
 from knowarm.experiment.csv_log import CsvLog, read_csv
@@ -26,9 +28,11 @@ from knowarm.knowledge.kge import KgeConfig
 from knowarm.knowledge.kge.train import FORMAT, load_model, new_model, save_model
 from knowarm.knowledge.queries.sparql import sparql
 from knowarm.learn.checkpoint import Checkpoint, CheckpointStore, read_checkpoint
+from knowarm.reading import read_json, write_json
 from knowarm.world.description import read_description
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.mjcf import read_mjcf
+from tests.robustness.test_permuted_doors import ROWS
 
 ZOO = Path(__file__).parent.parent.parent / "zoo"
 FULL = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -140,6 +144,16 @@ def test_an_over_long_path_of_a_runs_graph(tmp_path):
     run.config_path.write_text(json.dumps(values))
     assert run.config()["knows"]["graph"].startswith(str(run.path / "graphs"))
     assert load_agent(run.path).step > 0
+
+
+def test_over_long_names_of_a_row(tmp_path):
+    """No folder can have such a name, and asking for it is an error of the system."""
+    row = read_json(sorted(ROWS.iterdir())[0])
+    write_json(tmp_path / "row.json", row | {"suite": "a" * 5000})
+    with pytest.raises(UserError, match=r"row\.json: suite: File name too long\.$"):
+        read_row(tmp_path / "row.json")
+    for spec in ("a" * 300, "seen:" + "a" * 300, "zoo/" + "a" * 300):
+        assert not is_safe(spec)
 
 
 def test_hops_end_where_the_graph_does():

@@ -1,6 +1,7 @@
 """Policies of a benchmark: run folders, exported folders, anything with ``reset`` and ``act``."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -91,7 +92,9 @@ def is_safe(spec: str) -> bool:
     """Return whether what plays is a scripted agent or a run folder, which strangers may give."""
     folder = spec.removeprefix(SEEN)
     is_remote = ":" in folder or folder.startswith(("//", "\\\\"))
-    return spec in SCRIPTED_AGENTS or (not is_remote and _is_run(folder))
+    with suppress(OSError):  # a name that no file can have
+        return spec in SCRIPTED_AGENTS or (not is_remote and _is_run(folder))
+    return False
 
 
 def _is_run(folder: str) -> bool:

@@ -330,7 +330,10 @@ def read_row(path: Path) -> Row:
             f"{path} is no row of this version's benchmark (format {FORMAT}). Measure it again: "
             "knowarm benchmark run."
         )
-    suite = read_suite(str(row.get("suite")))
+    try:
+        suite = read_suite(str(row.get("suite")))
+    except OSError as error:  # a name that no file can have
+        raise UserError(f"{path}: suite: {error.strerror}.") from None
     if row.get("digest") != suite.digest:
         raise UserError(
             f"{path} was measured on another {suite.name}: the digests differ."
