@@ -37,42 +37,43 @@ MOST_INT = 1e5
 """Largest size of integers without an entry in `RANGES`."""
 MOST_FLOAT = 1e6
 """Largest size of such floating-point numbers."""
-_RANGES: dict[tuple[float, float], str] = {
-    (1, 1e12): "total_steps every_steps",
-    (1, 1e9): "images",
-    (1, 1e8): "episodes",
-    (0, 1e8): "blind_episodes",
-    (1, 1e6): "steps hidden",
-    (0, 1e6): "confirm_steps coef n3 threshold_decrease",
-    (
-        1,
-        1e5,
-    ): "num_envs envs_per_worker processes workers joints levels slots features dim "
-    "batch batch_size minibatches epochs evaluations negatives evaluate_every patience threads "
-    "objects objects_per_episode training_seeds trial cores at_once",
-    (0, 1e5): "start_joints knowledge_dim hops degree rounds retries scene scenes",
-    (1, 1e3): "factor",
-    (0, 360): "light_angle_deg",
-    (0, 1): "share until gamma lambda learning_rate_final gpus",
-    (LEAST, 1e6): "s gib grad_norm eps following_steps",
-    (LEAST, 1e4): "hz gain reward_scale pixel_scale",
-    (LEAST, 1e3): "gripper_step_m",
-    (LEAST, 360): "angle_deg",
-    (LEAST, 100): "mpi_rad",
-    (LEAST, 10): "learning_rate clip_range",
-    (LEAST, 2): "distance_m",
-    (LEAST, 1): "success",
-    (-1e6, 1e6): "norm",
-    (-1e4, 1e4): "scale",
-    (-1e3, 1e3): "m kg",
-    (-360, 360): "deg",
-    (-100, 100): "rad",
-}
+_RANGES = """
+1 1e12 total_steps every_steps
+1 1e9 images
+1 1e8 episodes
+0 1e8 blind_episodes
+1 1e6 steps hidden
+0 1e6 confirm_steps coef n3 threshold_decrease
+1 1e5 num_envs envs_per_worker processes workers joints levels slots features dim batch batch_size
+1 1e5 minibatches epochs evaluations negatives evaluate_every patience threads objects cores
+1 1e5 objects_per_episode training_seeds trial at_once
+0 1e5 start_joints knowledge_dim hops degree rounds retries scene scenes
+1 1e3 factor
+0 1e3 half_size_m
+0 360 light_angle_deg
+0 1 share until gamma lambda learning_rate_final gpus start_fraction
+1e-12 1e6 s gib grad_norm eps following_steps
+1e-12 1e4 hz gain reward_scale pixel_scale
+1e-12 1e3 gripper_step_m
+1e-12 360 angle_deg
+1e-12 179 fovy_deg
+1e-12 100 mpi_rad
+1e-12 10 learning_rate clip_range
+1e-12 2 distance_m
+1e-12 1 success
+-1e6 1e6 norm
+-1e4 1e4 scale
+-1e3 1e3 m kg
+-360 360 deg
+-100 100 rad
+"""
 """Ranges of numbers by the last words of their field: what it counts, or its unit."""
 RANGES: dict[str, tuple[float, float]] = {}
-for _ends, _words in _RANGES.items():
-    RANGES |= dict.fromkeys(_words.split(), _ends)
+for _line in _RANGES.strip().splitlines():
+    _least, _most, *_words = _line.split()
+    RANGES |= dict.fromkeys(_words, (float(_least), float(_most)))
 
+_FILE_NAME = re.compile(r"\w[\w.+-]*", re.ASCII)
 LARGEST_SHOWN = 1e300
 """Size above which Python may refuse to print an integer."""
 
@@ -83,43 +84,36 @@ _Reader = Callable[[Any, str], Any]
 """Converts a JSON value, and names it by its dotted path in errors."""
 
 
-def check_values(config: Any, *, where: str = "") -> None:
+def check_values(config: Any, *, where: str = "", name: str = "") -> None:
     """Check types and choices of a (nested) config, and that its numbers make sense.
 
-    They are finite and within `RANGES`; a seed fits.
+    They are finite and, where they are those of a field ``name``, within `RANGES`; a seed fits.
     """
-    if isinstance(config, float):
-        if not math.isfinite(config):
-            raise UserError(f"{where} must be a finite number, got {config}.")
-    elif isinstance(config, int):
-        if where.endswith(".seed") and not 0 <= config <= MAX_SEED:
-            raise UserError(f"{where} must lie between 0 and 2**63 - 1, got {config}.")
-    elif isinstance(config, tuple | list):
-        for i, value in enumerate(config):
-            check_values(value, where=f"{where}[{i}]")
-    elif dataclasses.is_dataclass(config):
+    if dataclasses.is_dataclass(config):
         prefix = where or type(config).__name__
         for name, field in _fields(typing.cast(Any, type(config))).items():
             value = getattr(config, name)
             path = f"{prefix}.{name}"
             if field.is_plain:
                 field.read(value, path)
-            check_values(value, where=path)
-            _check_size(name, value, path)
+            check_values(value, where=path, name=name)
+    elif isinstance(config, tuple | list):
+        for i, value in enumerate(config):
+            check_values(value, where=f"{where}[{i}]", name=name)
     elif isinstance(config, Mapping):
         for key, value in config.items():
             check_values(value, where=f"{where}.{key}")
-
-
-def _check_size(name: str, value: Any, path: str) -> None:
-    """Check that numbers of a field are of a size that makes sense, see `RANGES`."""
-    if isinstance(value, tuple | list):
-        for item in value:
-            _check_size(name, item, path)
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if is_number and name != "seed":
-        most = MOST_FLOAT if isinstance(value, float) else MOST_INT
-        _check_range(value, _range(name) or (-most, most), path)
+    elif isinstance(config, int | float) and not isinstance(config, bool):
+        if isinstance(config, float) and not math.isfinite(config):
+            raise UserError(f"{where} must be a finite number, got {config}.")
+        if where.endswith(".seed"):
+            if not 0 <= config <= MAX_SEED:
+                raise UserError(
+                    f"{where} must lie between 0 and 2**63 - 1, got {config}."
+                )
+        elif name:
+            most = MOST_FLOAT if isinstance(config, float) else MOST_INT
+            _check_range(config, _range(name) or (-most, most), where)
 
 
 def _check_range(value: Any, ends: tuple[float, float], path: str) -> None:
@@ -188,36 +182,24 @@ def _is_plain(hint: Any) -> bool:
     return hint in (bool, int, float, str, type(None), Ellipsis)
 
 
-def within(
-    config: Any, least: float, most: float, *names: str, where: str = ""
-) -> None:
-    """Check that fields of a config, where they are not None, are numbers in a range."""
-    allowed = f"between {least:g} and {most:g}"
-    _check(config, names, where, allowed, lambda value: least <= value <= most)
+def within(config: Any, least: float, most: float, name: str, where: str = "") -> None:
+    """Check that a field of a config, where it is not None, is a number in a range."""
+    value = getattr(config, name)
+    is_number = isinstance(value, int | float)
+    if value is not None and not (is_number and least <= value <= most):
+        raise UserError(
+            f"{where}{name} must be between {least:g} and {most:g}, got {value!r}."
+        )
 
 
-def file_name(config: Any, *names: str) -> None:
-    """Check that fields of a config, where they are not None, name a file and no path."""
-    pattern = re.compile(r"\w[\w.+-]*", re.ASCII)
-    allowed = "a name of letters, digits, '-', '_', '+' and '.'"
-    _check(config, names, "", allowed, pattern.fullmatch)
-
-
-def _check(
-    config: Any,
-    names: tuple[str, ...],
-    where: str,
-    allowed: str,
-    test: Callable[[Any], object],
-) -> None:
-    for name in names:
-        value = getattr(config, name)
-        try:
-            passed = value is None or test(value)
-        except TypeError:  # such as a number in quotes
-            passed = False
-        if not passed:
-            raise UserError(f"{where}{name} must be {allowed}, got {value!r}.")
+def file_name(config: Any, name: str) -> None:
+    """Check that a field of a config, where it is not None, names a file and no path."""
+    value = getattr(config, name)
+    is_name = isinstance(value, str) and _FILE_NAME.fullmatch(value)
+    if value is not None and not is_name:
+        raise UserError(
+            f"{name} must be a name of letters, digits, '-', '_', '+' and '.', got {value!r}."
+        )
 
 
 def to_dict(config: Any) -> dict[str, Any]:

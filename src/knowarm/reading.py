@@ -100,18 +100,17 @@ def replacing(path: Path, remedy: str = "") -> Iterator[Path]:
     random name.
     """
     temporary = path.with_name(f".{path.stem}.{secrets.token_hex(8)}{path.suffix}")
-    if path.is_dir() or path.absolute().is_relative_to("/dev"):
-        temporary = path  # an error of the system, or a device such as /dev/stdout
     with writing(path, remedy):
         path.parent.mkdir(parents=True, exist_ok=True)
+        if path.is_dir() or path.absolute().is_relative_to("/dev"):
+            yield path  # an error of the system, or a device such as /dev/stdout
+            return
+        temporary.touch(exist_ok=False)  # O_CREAT | O_EXCL
         try:
-            if temporary != path:
-                temporary.touch(exist_ok=False)  # O_CREAT | O_EXCL
             yield temporary
             temporary.replace(path)
         finally:
-            if temporary != path:
-                temporary.unlink(missing_ok=True)
+            temporary.unlink(missing_ok=True)
 
 
 @contextmanager

@@ -247,7 +247,7 @@ def test_arms_of_one_unit_are_sent_no_target_beyond_their_soft_limits(
         ),
         (
             {"shoulder_pan": {"range_min": 7, "range_max": 2049, "drive_mode": 2}},
-            "drive_mode must be 0 or 1, got 2",
+            "drive_mode '2'. Available: 0, 1",
         ),
         (
             {"shoulder_pan": {"range_min": 1, "range_max": 5000}},

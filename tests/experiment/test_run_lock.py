@@ -143,7 +143,6 @@ def test_a_folder_that_another_process_took_beside_a_lock_that_locks_nothing(tmp
         other = json.loads((tmp_path / HOLDER).read_text()) | {
             "host": "another",
             "pid": 7,
-            "token": "x",
         }
         (tmp_path / HOLDER).write_text(json.dumps(other))
         with pytest.raises(UserError, match=r"is in use by process 7 on another"):
@@ -186,7 +185,7 @@ def test_two_trainings_do_not_share_a_run_folder(tmp_path, resume, reach_run, co
 def test_a_folder_that_cannot_be_written_to_is_named(tmp_path):
     (tmp_path / "file").write_text("")
     with (
-        pytest.raises(UserError, match="Cannot write to the output folder"),
+        pytest.raises(UserError, match=r"Cannot write .*run: Not a directory. Pass an"),
         lock_folder(tmp_path / "file" / "run", remedy=""),
     ):
         pytest.fail("locked a folder that cannot exist")

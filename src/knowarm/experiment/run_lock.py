@@ -1,7 +1,6 @@
 """Lock of a folder: one process at a time writes into it, until it is asked to stop."""
 
 import os
-import secrets
 import signal
 import socket
 from collections.abc import Iterator, Mapping
@@ -43,7 +42,6 @@ class FolderLock:
             "host": socket.gethostname(),
             "since": datetime.now(UTC).isoformat(timespec="seconds"),
             "started": psutil.Process().create_time(),
-            "token": secrets.token_hex(8),
         }
         try:
             holder = _live_holder(path)
@@ -111,15 +109,10 @@ def lock_folder(path: Path, *, remedy: str) -> Iterator[FolderLock]:
     Where the lock file was removed, or a network file system locks nothing, a live process of this
     machine that ``.lock.json`` names holds the folder as well.
     """
-    try:
+    with writing(path, "Pass another folder, or change its permissions."):
         path.mkdir(parents=True, exist_ok=True)
         refuse_links(path)
         lock = FolderLock(path, remedy)
-    except OSError as error:
-        raise UserError(
-            f"Cannot write to the output folder {path}: {error.strerror or error}. Pass "
-            "another folder, or change its permissions."
-        ) from error
     try:
         yield lock
     finally:

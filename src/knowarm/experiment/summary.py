@@ -315,7 +315,7 @@ def read_film(path: Path) -> np.ndarray:
 
 def _decode_film(path: Path) -> np.ndarray:
     frames: list[np.ndarray] = []
-    with reading(path, AGAIN), Image.open(path) as film:
+    with Image.open(path) as film:
         for number, frame in enumerate(ImageSequence.Iterator(film)):
             image = np.asarray(frame.convert("RGB"))
             # The encoder stores equal neighbours once, with the sum of their times.

@@ -34,7 +34,7 @@ class Motor:
 
     id: int = 0
     """Number on the bus."""
-    drive_mode: int = 0
+    drive_mode: Literal[0, 1] = 0
     """1 where it counts the other way, which LeRobot or the motor corrects."""
     homing_offset: int = 0
     """Shift of its zero, which the motor applies itself [ticks]."""
@@ -44,8 +44,6 @@ class Motor:
     """Highest place of the joint [ticks]."""
 
     def __post_init__(self) -> None:
-        if self.drive_mode not in (0, 1):
-            raise UserError(f"drive_mode must be 0 or 1, got {self.drive_mode}.")
         if not 0 <= self.range_min < self.range_max < TICKS:
             raise UserError(
                 f"range_min {self.range_min} and range_max {self.range_max} must lie in 0 to "

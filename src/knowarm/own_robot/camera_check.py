@@ -73,7 +73,7 @@ def check_camera(
 
 
 def _decode(photo: Path) -> Image.Image:
-    with reading(photo, PHOTO), Image.open(photo) as image:
+    with Image.open(photo) as image:
         return ImageOps.exif_transpose(image).convert("RGB")
 
 

@@ -60,16 +60,6 @@ _AREA_FIELDS = {
 """Fields of a `Robot` that an `Area` can replace, and the area's names of them."""
 
 
-POSITIVE = (
-    "mpi_rad",
-    "servo_frequency_hz",
-    "success_distance_m",
-    "success_angle_deg",
-    "evaluation_distance_m",
-)
-"""Fields of a `Robot` that are positive where they are stated."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class RealJoint:
     """A joint as the real arm counts it: value = sign * scale * angle in its unit + offset."""
@@ -247,12 +237,6 @@ class Robot:
             len(set(real)) == len(real),
             f"joint_map has a name twice: {', '.join(real)}",
         )
-        start = self.start_fraction
-        yield 0 <= start <= 1, f"start_fraction must lie in 0 to 1, got {start}"
-        half = self.rectangle_half_size_m
-        yield min(half) >= 0, f"rectangle_half_size_m must not be negative, got {half}"
-        fovy = self.camera_fovy_deg
-        yield 0 < fovy < 180, f"camera_fovy_deg must lie between 0 and 180, got {fovy}"
         lens = self.camera_distortion
         has_focus = self.camera_intrinsics is not None
         yield (
@@ -265,10 +249,6 @@ class Robot:
                 min(focus) > 0,
                 f"camera_intrinsics must begin with focal lengths, got {focus}",
             )
-        for name in POSITIVE:
-            value = getattr(self, name)
-            is_positive = value is None or value > 0
-            yield is_positive, f"{name} must be positive, got {value}"
 
     def for_area(self, name: str) -> "Robot":
         """Return the robot as it is in an area; unchanged if it has none of the name."""
