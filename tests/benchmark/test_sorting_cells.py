@@ -11,7 +11,9 @@ from knowarm.benchmark.policies import entrant
 from knowarm.benchmark.rows import read_row, run_suite, with_other_facts
 from knowarm.benchmark.suites import CONTROLS, Cell, by_table, parse_suite
 from knowarm.errors import UserError
+from knowarm.experiment.load import load_agent
 from knowarm.experiment.names import experiment_config
+from knowarm.perception.solving import SolvingAgent
 from knowarm.reading import write_json
 from knowarm.world.agents.protocol import Batch
 from knowarm.world.envs.episodes import evaluation_episodes
@@ -84,3 +86,20 @@ def test_facts_are_those_of_other_episodes(cell):
     assert pairs[0] != pairs[1]
     assert sorted(pairs[0]) == sorted(pairs[1])
     assert other.names.tolist() == batch.names.tolist()
+
+
+def named(env):
+    """Let questions name the destination."""
+    skill = replace(env.task.skill, named=True)
+    return replace(env, task=replace(env.task, skill=skill))
+
+
+@pytest.mark.parametrize("hears", [True, False])
+def test_who_is_not_told_the_destination_does_not_know_it(hears):
+    trained = load_agent(RUN)
+    env = ArmVectorEnv(named(trained.config.env), 2)
+    images, _ = env.reset(seed=0)
+    agent = SolvingAgent(trained.agent, env.config, guesses=False, hears=hears)
+    agent.reset(Batch.of(env))
+    agent.act({"image": images, "joint_targets": env.joint_positions})
+    assert agent.lacks_place.tolist() == [not hears] * 2

@@ -211,7 +211,10 @@ class Asker:
         if not isinstance(graph, KnowledgeGraph):
             graph = read_graph(graph)
         self.graph = graph
-        self._env = ArmVectorEnv(trained.config.env, 1)
+        env = trained.config.env
+        skill = env.task.skill.without_destination()  # the question decides
+        env = replace(env, task=replace(env.task, skill=skill))
+        self._env = ArmVectorEnv(env, 1)
         self._playing = Lock()  # of the environment, which threads share
         self._scenes = evaluation_episodes(self._env.config, SCENES, seed)
         first = first_facets(self._env.scene, self._spec)

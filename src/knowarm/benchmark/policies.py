@@ -142,7 +142,8 @@ def _run(spec: str, *, solves: bool = False) -> Entrant:
         if not solves:
             return informed
         known = graph or played.task.asked.answering_graph(facets_of(played))
-        return SolvingAgent(informed, played, told_places(known, places, config.seed))
+        known = told_places(known, places, config.seed)
+        return SolvingAgent(informed, played, known, hears=places != "unknown")
 
     uses = {
         "image": True,

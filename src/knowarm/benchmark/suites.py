@@ -41,7 +41,7 @@ CONTROLS = {
     "shuffled graph": "the policy with a graph whose tails are permuted within each relation",
     "shuffled places": "the policy where such a graph says where objects belong",
     "shuffled both": "the policy where such a graph says both",
-    "unknown places": "the policy where no graph says where objects belong",
+    "unknown places": "the policy where nothing says where objects belong or have to be put",
     "intact graph": "the policy with the graph before its damage",
 }
 """Controls that can stand beside a score, in the order of tables, and what they are."""

@@ -275,7 +275,11 @@ def agent_for_test(
     informed = known_in_test(trained, subject)
     check_fits(trained, env, knows_task=informed is not trained.agent)
     if subject.seen is not None:
-        return SolvingAgent(informed, subject.env, subject.seen.known_places(subject))
+        seen = subject.seen
+        known = seen.known_places(subject)
+        return SolvingAgent(
+            informed, subject.env, known, hears=seen.places != "unknown"
+        )
     return informed
 
 

@@ -281,7 +281,7 @@ class SeenTest(BaseTest):
     kind: Literal["seen"] = "seen"
     places: Places = "graph"
     """Where objects belong, for skills that need it: by the "graph", by the "shuffled" one, or
-    "unknown"; the last two are controls."""
+    "unknown", as is then a destination that a question names; the last two are controls."""
 
     @property
     def label(self) -> str:

@@ -20,7 +20,7 @@ from knowarm.policy import PolicyAgent
 from knowarm.world.agents.protocol import Batch
 from knowarm.world.agents.scripted import guide_of
 from knowarm.world.config import EnvConfig, scene_of
-from knowarm.world.tasks.skills.guides import Sight, Way
+from knowarm.world.tasks.skills.guides import DESTINATION, Sight, Way
 from knowarm.world.tasks.state import nearest_levels
 
 
@@ -47,6 +47,7 @@ class SolvingAgent:
         env: robot and task.
         graph: the `KnowledgeGraph` that says where objects belong; None: it does not know.
         guesses: whether it moves where that does not say where the object belongs.
+        hears: whether it is told the destination that a question names.
 
     Attributes:
         notes: those of ``agent``.
@@ -66,6 +67,7 @@ class SolvingAgent:
         graph: Any = None,
         *,
         guesses: bool = True,
+        hears: bool = True,
     ) -> None:
         if not isinstance(agent.recognition, FrameRecognition):
             raise UserError(
@@ -80,6 +82,7 @@ class SolvingAgent:
         self._skill = env.task.skill
         self._graph = graph
         self._guesses = guesses
+        self._hears = hears
         self._scene = scene_of(env)
         names = [target.name for target in self._scene.targets]
         facets = self._network.spec.facets
@@ -123,7 +126,9 @@ class SolvingAgent:
         self._agent.reset(batch)
         self.notes = {}
         self._joints = np.stack(list(batch.joints.values()), axis=1)
-        self._facts = batch.facts
+        self._facts = dict(batch.facts)
+        if not self._hears:
+            self._facts.pop(DESTINATION, None)
         self.lacks_place = np.zeros(batch.size, bool)
         self._way: Way | None = None
 

@@ -14,7 +14,8 @@ APPROACH_M = 0.10  # Way of the gripper straight to the goal frame
 WAYPOINTS = 8  # Poses of this way
 NEAR = 0.05  # Joints within this share of the largest step of a pose have passed it
 PASSES = 3  # Points that are passed in one step at most
-DESTINATION = "destination"  # Array of a skill's memory: where the object has to be put
+DESTINATION = "destination"
+"""Array of a skill's memory: where the object has to be put; fact: the name of that place."""
 
 
 class Sight(NamedTuple):

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -158,6 +158,10 @@ class Skill(BaseTaskPart):
         None: there is no such place in the episode.
         """
         return None
+
+    def without_destination(self) -> Self:
+        """Return the skill in whose episodes no question names where to put the object."""
+        return self
 
     def see(
         self,

@@ -128,6 +128,57 @@ def test_the_graph_that_is_known_decides_for_a_tray():
     np.testing.assert_array_equal(first, seen(env, images, None))
 
 
+@cache
+def named_env(count=64, image_size=64):
+    """Scenes of which the question names the destination."""
+    task = Task(asked=AskObject(), skill=Sort(named=True))
+    return make_env(count=count, task=task, image_size=image_size)
+
+
+def test_a_named_destination_is_the_place_of_any_tray_in_the_same_scenes():
+    env = named_env()
+    _, episodes = started(env)
+    told = facts_of(env)
+    destination = told["destination"]
+    at = told["tray_places"] == destination[:, None]
+    assert (at.sum(axis=1) == 1).all()
+    belongs = []
+    for place, name in zip(destination, episodes.names[:, 0], strict=True):
+        belongs.append(place in WHERE[name])
+    assert 0.15 < np.mean(belongs) < 0.55
+    right = env.running.memory["destination"]
+    colours = env.running.memory["tray_colours"][:, :3]
+    tray = (centres_m(env.scene.robot) == right[:, None]).all(axis=2).argmax(axis=1)
+    colour = np.array(TRAY_COLOURS)[colours[np.arange(64), tray]]
+    np.testing.assert_array_equal(told["tray_colours"][at], colour)
+    words = env.running.instruct(0).split("; ")
+    assert words[1] == f"the destination is the {destination[0].replace('_', ' ')}"
+    # The question apart, the scene is that of the task without it.
+    unnamed = env_of("irb120")
+    _, others = started(unnamed)
+    np.testing.assert_array_equal(others.positions, episodes.positions)
+    before = facts_of(unnamed)
+    assert set(told) - set(before) == {"destination"}
+    for name, values in before.items():
+        np.testing.assert_array_equal(values, told[name])
+
+
+def test_a_destination_that_is_told_counts_more_than_the_graph():
+    env = named_env()
+    images, _ = started(env)
+    right = env.running.memory["destination"]
+    for graph in (read_graph("objects"), None):
+        assert (seen(env, images, graph) == right).all(axis=1).mean() >= 0.98
+    skill = env.config.task.skill
+    told = facts_of(env)
+    del told["destination"]
+    sight = Sight.true(env.running)._replace(destination=None)
+    graph = read_graph("objects")
+    by_graph = skill.see(env.scene, sight, images, told, graph).destination
+    assert 0.15 < (by_graph == right).all(axis=1).mean() < 0.55
+    assert skill.without_destination() == Sort()
+
+
 def test_an_edited_graph_changes_where_things_belong():
     asked = AskObject(queries=GraphQueries(split="S5"))
     env = make_env(count=64, task=Task(asked=asked, skill=Sort()), image_size=64)

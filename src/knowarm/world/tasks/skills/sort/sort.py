@@ -1,8 +1,8 @@
 """Sorting: put the object that is meant on the tray of the place where it belongs by a graph."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +49,7 @@ TRAY_RGB = np.array([COLOURS[name] for name in TRAY_COLOURS])
 MAX_TRAYS = 4
 WITHOUT_POLICY = frozenset({"seen"})  # Algorithms that train none
 WRONG_TRAY = len(OUTCOMES)
+ENDS_OF_DRAWS = np.cumsum([MAX_TRAYS, MAX_TRAYS, len(TRAY_COLOURS)])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +58,8 @@ class Sort(Place):
 
     Each of the robot's ``trays_m`` has a colour and stands for a place, both drawn; which colour is
     which place is told, and where the object belongs follows from the graph that answers the
-    questions. The object belongs at exactly one of an episode's places.
+    questions. The object belongs at exactly one of an episode's places; with ``named`` the question
+    names any of these as its destination, wherever it belongs.
     """
 
     tells_facts = True
@@ -75,6 +77,8 @@ class Sort(Place):
     """Tag of this skill in JSON."""
     relation: str = "isLocatedIn"
     """Relation of the graph whose values are the places where objects belong."""
+    named: bool = False
+    """Whether questions name the destination, the place of a tray that is drawn, which is told."""
 
     def training(self, algorithm: str, asked: Asking) -> Mapping[str, Any]:
         """Refuse all algorithms that train a policy, which would not know the right tray."""
@@ -87,8 +91,8 @@ class Sort(Place):
 
     @property
     def draws(self) -> int:
-        """Number of draws per episode: for places, order of the trays, and colours."""
-        return 2 * MAX_TRAYS + len(TRAY_COLOURS)
+        """Number of draws per episode: for places, order of the trays, colours, destination."""
+        return int(ENDS_OF_DRAWS[-1]) + self.named
 
     def area_of(self, robot: Robot) -> str:
         """Check that the robot has trays."""
@@ -111,17 +115,20 @@ class Sort(Place):
     def begin(
         self, state: State, asked: Asking, ids: Indices, surroundings: Floats
     ) -> NamedArrays:
-        """Draw which tray has which colour and stands for which place."""
+        """Draw which tray has which colour and stands for which place, and the destination."""
         known = true_belongings(asked, state.facets, self.relation)
         centres = _centres(state.scene.robot)
         count = len(centres)
-        of_places, of_order, of_colours = np.split(
-            surroundings, [MAX_TRAYS, 2 * MAX_TRAYS], axis=1
+        of_places, of_order, of_colours, of_destination = np.split(
+            surroundings, ENDS_OF_DRAWS, axis=1
         )
         places = _draw_places(known, state.target[ids], of_places[:, :count])
         order = np.argsort(of_order[:, :count], axis=1)
         places = np.take_along_axis(places, order, axis=1)
-        right = np.argmin(order, axis=1)
+        wanted = np.zeros((len(ids), 1), np.int64)  # the place where the object belongs
+        if self.named:
+            wanted = (of_destination * count).astype(np.int64)
+        right = np.argmax(order == wanted, axis=1)
         colours = np.argsort(of_colours, axis=1)[:, :count]
         return {
             DESTINATION: centres[right],
@@ -139,25 +146,34 @@ class Sort(Place):
     def facts(self, state: State, asked: Asking) -> NamedArrays:
         """Return which tray is which place: ``tray_places`` and ``tray_colours``, (n, K) names.
 
-        They are in the order of the places' names, which says nothing of where trays stand.
+        They are in the order of the places' names, which says nothing of where trays stand. Where
+        questions name a destination, ``destination`` is its place, (n,) names.
         """
         count = len(_centres(state.scene.robot))
         places = state.memory["tray_places"][:, :count]
         colours = state.memory["tray_colours"][:, :count]
         order = np.argsort(places, axis=1)
         known = true_belongings(asked, state.facets, self.relation)
-        return {
+        told = {
             "tray_places": known.places[np.take_along_axis(places, order, axis=1)],
             "tray_colours": NAMES[np.take_along_axis(colours, order, axis=1)],
         }
+        if self.named:
+            centres = _centres(state.scene.robot)
+            is_right = (centres == state.memory[DESTINATION][:, None]).all(axis=2)
+            told[DESTINATION] = known.places[places[is_right]]
+        return told
 
     def instruct(self, state: State, asked: Asking, env_id: int) -> str:
-        """Return the same of one episode, as "the red tray is the kitchen"."""
+        """Return the same of one episode, as "the red tray is the kitchen"; destination first."""
         facts = self.facts(state, asked)
+        words = []
+        if DESTINATION in facts:
+            words.append(f"the destination is the {facts[DESTINATION][env_id]}")
         pairs = zip(
             facts["tray_colours"][env_id], facts["tray_places"][env_id], strict=True
         )
-        words = [f"the {colour} tray is the {place}" for colour, place in pairs]
+        words += [f"the {colour} tray is the {place}" for colour, place in pairs]
         return "; ".join(words).replace("_", " ")
 
     def sent(
@@ -172,6 +188,10 @@ class Sort(Place):
                 objects = [target.name for target in state.scene.targets]
                 return graph_of([(name, self.relation, place) for name in objects])
         return None
+
+    def without_destination(self) -> Self:
+        """Let no question name one."""
+        return replace(self, named=False)
 
     def result(self, state: State, asked: Asking, env_id: int) -> str:
         """Say where it is, and on which tray."""
@@ -197,12 +217,14 @@ class Sort(Place):
         """Read the trays' colours; choose that of a place where the object that is seen belongs.
 
         Where the graph says of none of the places, or of several, that it belongs there, it is the
-        first of these trays in the robot's order.
+        first of these trays in the robot's order. A destination that is told counts instead.
         """
         places = facts["tray_places"]
         centres = _centres(scene.robot)
         belongs = np.zeros(places.shape, bool)
-        if graph is not None:
+        if DESTINATION in facts:
+            belongs = places == facts[DESTINATION][:, None]
+        elif graph is not None:
             facets = tuple((target.name, "") for target in scene.targets)
             known = belongings(graph, facets, self.relation)
             belongs = known.of(sight.objects[:, 0], places)
