@@ -4,11 +4,13 @@ python -m scripts.freeze_suites reach-v1
 """
 
 import sys
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
-from itertools import product
+from itertools import chain
 from typing import get_args
 
+from knowarm.arrays import Integers
 from knowarm.benchmark.freezing import SEED, freeze, freeze_cell
 from knowarm.benchmark.suites import FOLDER, Cell, Split, Suite, read_suite
 from knowarm.experiment.evaluation import EvaluationConfig, SplitTest
@@ -18,11 +20,15 @@ from knowarm.knowledge.graph.damage import Damage, damaged
 
 REACH = {"fixed": "bm", "randomized": "bm-dr"}
 SPLITS: tuple[Split, ...] = ("S1", "S2", "S3", "S4", "S5")
-GROUPS = {"pick": "choose-lift", "place": "choose-sort"}
-"""Tasks among solid objects, by the name of their tables."""
-SOLID_SPLITS: tuple[Split, ...] = ("S1", "S5")
-SOLID_EPISODES = 100
-SOLID_CONTROLS = 50
+GROUPS = {"pick": "lift", "place": "sort", "named": "sort"}
+"""Skills of tasks among solid objects, by the name of their tables."""
+SOLID_SPLITS: dict[str, tuple[Split, ...]] = {
+    "pick": ("S1", "S2", "S4", "S5"),
+    "place": ("S1", "S2", "S4", "S5"),
+    "named": ("S1", "S5"),
+}
+SOLID_EPISODES = 75
+SOLID_CONTROLS = 25
 """Episodes of their cells, and those of controls; contacts cost a third of a second each."""
 
 _report = partial(print, flush=True)
@@ -78,24 +84,36 @@ def damaged_graph() -> Suite:
     return freeze("damaged-graph-v1", about, cells)
 
 
-def pick_and_place() -> Suite:
-    """Lift, or put where it belongs, one of four solid objects: splits S1 and S5."""
+def solid_cells(robot: str) -> list[Cell]:
+    """Tasks among solid objects on a robot."""
     cells = []
-    for robot, group in product(("irb120", "tiago"), GROUPS):
-        env = experiment_config(f"{robot}-{GROUPS[group]}-answers-seen").env
-        listed = None
-        for split in SOLID_SPLITS:
+    listed: dict[str, Integers] = {}  # asked or not, the same objects stand there
+    for group, skill in GROUPS.items():
+        env = experiment_config(f"{robot}-choose-{skill}-answers-seen").env
+        if group == "named":
+            named = replace(env.task.skill, named=True)
+            env = replace(env, task=replace(env.task, skill=named))
+        for split in SOLID_SPLITS[group]:
             how = EvaluationConfig(
                 distance_m=0.05, angle_deg=15.0, test=(SplitTest(split=split),)
             )
             name = f"{robot}-{group}-{split}"
-            drawn = freeze_cell(name, env, how, SOLID_EPISODES, _report, listed)
-            listed = drawn.open_loop  # asked or not, the same objects stand there
+            known = listed.get(skill)
+            drawn = freeze_cell(name, env, how, SOLID_EPISODES, _report, known)
+            listed[skill] = drawn.open_loop
             cells.append(replace(drawn, group=group))
+    return cells
+
+
+def pick_and_place() -> Suite:
+    """Lift, or put where it belongs or where it is said, one of four solid objects."""
+    with ProcessPoolExecutor() as pool:
+        cells = list(chain.from_iterable(pool.map(solid_cells, ("irb120", "tiago"))))
     about = (
-        "Lift the solid object, of four, that a query describes (pick), or put it on the tray of "
-        "the place where the graph says that it belongs (place). S1: new layouts; S5: an "
-        "edited graph."
+        "Lift the solid object, of four, that a query describes (pick), put it on the tray of the "
+        "place where the graph says that it belongs (place), or of the place that the question "
+        "names (named). S1: new layouts; S2: new pairs of condition and object; S4: new values; "
+        "S5: an edited graph."
     )
     return freeze("pick-and-place-v1", about, cells, control_episodes=SOLID_CONTROLS)
 

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -49,9 +49,10 @@ def freeze_cell(
     """
     config = how.prepare(Subject(env=env)).env
     drawn = evaluation_episodes(config, episodes, SEED)
+    unseen = replace(config, image_size=8)  # neither reference reads an image
     if listed is None:
-        listed = search_open_loop(config)
-    played = ArmVectorEnv(config, min(100, episodes))
+        listed = search_open_loop(unseen)
+    played = ArmVectorEnv(unseen, min(100, episodes))
     chance = None
     if questions_of(config) is not None:
         chance = 1 / config.task.asked.visible
