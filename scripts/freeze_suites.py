@@ -91,7 +91,7 @@ def solid_cells(robot: str) -> list[Cell]:
     for group, skill in GROUPS.items():
         env = experiment_config(f"{robot}-choose-{skill}-answers-seen").env
         if group == "named":
-            named = replace(env.task.skill, named=True)
+            named = replace(env.task.skill, destination="place")
             env = replace(env, task=replace(env.task, skill=named))
         for split in SOLID_SPLITS[group]:
             how = EvaluationConfig(

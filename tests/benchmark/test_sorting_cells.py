@@ -90,7 +90,7 @@ def test_facts_are_those_of_other_episodes(cell):
 
 def named(env):
     """Let questions name the destination."""
-    skill = replace(env.task.skill, named=True)
+    skill = replace(env.task.skill, destination="place")
     return replace(env, task=replace(env.task, skill=skill))
 
 

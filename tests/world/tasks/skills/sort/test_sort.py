@@ -129,14 +129,14 @@ def test_the_graph_that_is_known_decides_for_a_tray():
 
 
 @cache
-def named_env(count=64, image_size=64):
+def named_env(destination):
     """Scenes of which the question names the destination."""
-    task = Task(asked=AskObject(), skill=Sort(named=True))
-    return make_env(count=count, task=task, image_size=image_size)
+    task = Task(asked=AskObject(), skill=Sort(destination=destination))
+    return make_env(count=64, task=task, image_size=64)
 
 
 def test_a_named_destination_is_the_place_of_any_tray_in_the_same_scenes():
-    env = named_env()
+    env = named_env("place")
     _, episodes = started(env)
     told = facts_of(env)
     destination = told["destination"]
@@ -163,8 +163,22 @@ def test_a_named_destination_is_the_place_of_any_tray_in_the_same_scenes():
         np.testing.assert_array_equal(values, told[name])
 
 
-def test_a_destination_that_is_told_counts_more_than_the_graph():
-    env = named_env()
+def test_a_destination_may_be_named_by_the_colour_of_its_tray():
+    env = named_env("place")
+    started(env)
+    told = facts_of(env)
+    at = told["tray_places"] == told["destination"][:, None]
+    by_colour = named_env("colour")
+    started(by_colour)
+    colours = facts_of(by_colour)["destination"]
+    np.testing.assert_array_equal(colours, told["tray_colours"][at])
+    words = by_colour.running.instruct(0).split("; ")
+    assert words[1] == f"the destination is the {colours[0]} tray"
+
+
+@pytest.mark.parametrize("destination", ["place", "colour"])
+def test_a_destination_that_is_told_counts_more_than_the_graph(destination):
+    env = named_env(destination)
     images, _ = started(env)
     right = env.running.memory["destination"]
     for graph in (read_graph("objects"), None):

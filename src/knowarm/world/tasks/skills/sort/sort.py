@@ -58,8 +58,8 @@ class Sort(Place):
 
     Each of the robot's ``trays_m`` has a colour and stands for a place, both drawn; which colour is
     which place is told, and where the object belongs follows from the graph that answers the
-    questions. The object belongs at exactly one of an episode's places; with ``named`` the question
-    names any of these as its destination, wherever it belongs.
+    questions. The object belongs at exactly one of an episode's places; a ``destination`` that the
+    question names is any of these.
     """
 
     tells_facts = True
@@ -77,8 +77,9 @@ class Sort(Place):
     """Tag of this skill in JSON."""
     relation: str = "isLocatedIn"
     """Relation of the graph whose values are the places where objects belong."""
-    named: bool = False
-    """Whether questions name the destination, the place of a tray that is drawn, which is told."""
+    destination: Literal["graph", "place", "colour"] = "graph"
+    """What says where the object has to be put: the "graph", where it belongs; or the question, by
+    the "place" or the "colour" of a tray that is drawn, which is told."""
 
     def training(self, algorithm: str, asked: Asking) -> Mapping[str, Any]:
         """Refuse all algorithms that train a policy, which would not know the right tray."""
@@ -90,9 +91,14 @@ class Sort(Place):
         return {}
 
     @property
+    def is_named(self) -> bool:
+        """Whether the question names where the object has to be put."""
+        return self.destination != "graph"
+
+    @property
     def draws(self) -> int:
         """Number of draws per episode: for places, order of the trays, colours, destination."""
-        return int(ENDS_OF_DRAWS[-1]) + self.named
+        return int(ENDS_OF_DRAWS[-1]) + self.is_named
 
     def area_of(self, robot: Robot) -> str:
         """Check that the robot has trays."""
@@ -126,7 +132,7 @@ class Sort(Place):
         order = np.argsort(of_order[:, :count], axis=1)
         places = np.take_along_axis(places, order, axis=1)
         wanted = np.zeros((len(ids), 1), np.int64)  # the place where the object belongs
-        if self.named:
+        if self.is_named:
             wanted = (of_destination * count).astype(np.int64)
         right = np.argmax(order == wanted, axis=1)
         colours = np.argsort(of_colours, axis=1)[:, :count]
@@ -147,7 +153,7 @@ class Sort(Place):
         """Return which tray is which place: ``tray_places`` and ``tray_colours``, (n, K) names.
 
         They are in the order of the places' names, which says nothing of where trays stand. Where
-        questions name a destination, ``destination`` is its place, (n,) names.
+        questions name a destination, ``destination`` is that name, (n,).
         """
         count = len(_centres(state.scene.robot))
         places = state.memory["tray_places"][:, :count]
@@ -158,10 +164,11 @@ class Sort(Place):
             "tray_places": known.places[np.take_along_axis(places, order, axis=1)],
             "tray_colours": NAMES[np.take_along_axis(colours, order, axis=1)],
         }
-        if self.named:
+        if self.is_named:
             centres = _centres(state.scene.robot)
             is_right = (centres == state.memory[DESTINATION][:, None]).all(axis=2)
-            told[DESTINATION] = known.places[places[is_right]]
+            names = {"place": known.places[places], "colour": NAMES[colours]}
+            told[DESTINATION] = names[self.destination][is_right]
         return told
 
     def instruct(self, state: State, asked: Asking, env_id: int) -> str:
@@ -169,7 +176,8 @@ class Sort(Place):
         facts = self.facts(state, asked)
         words = []
         if DESTINATION in facts:
-            words.append(f"the destination is the {facts[DESTINATION][env_id]}")
+            tray = " tray" if self.destination == "colour" else ""
+            words.append(f"the destination is the {facts[DESTINATION][env_id]}{tray}")
         pairs = zip(
             facts["tray_colours"][env_id], facts["tray_places"][env_id], strict=True
         )
@@ -191,7 +199,7 @@ class Sort(Place):
 
     def without_destination(self) -> Self:
         """Let no question name one."""
-        return replace(self, named=False)
+        return replace(self, destination="graph")
 
     def result(self, state: State, asked: Asking, env_id: int) -> str:
         """Say where it is, and on which tray."""
@@ -223,7 +231,8 @@ class Sort(Place):
         centres = _centres(scene.robot)
         belongs = np.zeros(places.shape, bool)
         if DESTINATION in facts:
-            belongs = places == facts[DESTINATION][:, None]
+            name = facts[DESTINATION][:, None]
+            belongs = (places == name) | (facts["tray_colours"] == name)
         elif graph is not None:
             facets = tuple((target.name, "") for target in scene.targets)
             known = belongings(graph, facets, self.relation)
