@@ -17,6 +17,7 @@ from knowarm.experiment.evaluation import EvaluationConfig, SplitTest
 from knowarm.experiment.names import experiment_config
 from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.graph.damage import Damage, damaged
+from knowarm.world.tasks.skills.sort.sort import Sort
 
 REACH = {"fixed": "bm", "randomized": "bm-dr"}
 SPLITS: tuple[Split, ...] = ("S1", "S2", "S3", "S4", "S5")
@@ -91,8 +92,8 @@ def solid_cells(robot: str) -> list[Cell]:
     for group, skill in GROUPS.items():
         env = experiment_config(f"{robot}-choose-{skill}-answers-seen").env
         if group == "named":
-            named = replace(env.task.skill, destination="place")
-            env = replace(env, task=replace(env.task, skill=named))
+            task = replace(env.task, skill=Sort(destination="place"))
+            env = replace(env, task=task)
         for split in SOLID_SPLITS[group]:
             how = EvaluationConfig(
                 distance_m=0.05, angle_deg=15.0, test=(SplitTest(split=split),)
