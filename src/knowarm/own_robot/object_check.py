@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from knowarm.arrays import Floats
+from knowarm.arrays import Floats, Images
 from knowarm.check import Check
 from knowarm.errors import UserError
-from knowarm.own_robot.pixels import Images, SceneImages, different_pixels
+from knowarm.own_robot.pixels import SceneImages, different_pixels
 from knowarm.own_robot.poses import grasps, place_targets, rectangle_places
 from knowarm.own_robot.robot_check import JointWay, check_reach, check_visible
 from knowarm.questions import object_of

@@ -5,22 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 from mujoco import MjData
-from numpy.typing import NDArray
 from PIL import Image
 
-from knowarm.arrays import Integers, Mask
+from knowarm.arrays import Floats32, Images, Integers, Mask
 from knowarm.world.backend import MujocoSimulator
 from knowarm.world.config import EnvConfig
 from knowarm.world.render.renderer import make_renderer
 from knowarm.world.scene.appearance import TargetColours, resting_colours
 from knowarm.world.scene.compose import ROBOT_PREFIX
 from knowarm.world.scene.scene import Scene
-
-Images = NDArray[np.uint8]
-"""RGB images, (..., H, W, 3)."""
-
-Colours = NDArray[np.float32]
-"""Red, green, blue and opacity of each geom, (n, G, 4)."""
 
 DIFFERENCE = 25
 """Change of a colour channel from which a pixel counts as showing the target, of 255."""
@@ -50,7 +43,7 @@ class SceneImages:
         colours[:, robot_parts(self._scene), 3] = 0.0
         return different_pixels(self._draw(colours), self.empty)
 
-    def _draw(self, colours: Colours) -> Images:
+    def _draw(self, colours: Floats32) -> Images:
         simulation = self._simulation
         return self._renderer.draw(
             simulation.geom_position, simulation.geom_matrix, colours
@@ -61,7 +54,7 @@ def draw_once(
     scene: Scene,
     config: EnvConfig,
     data: MjData,
-    colours: Colours,
+    colours: Floats32,
     side: int,
 ) -> Image.Image:
     """Draw one image of geoms in colours (1, G, 4), ``side`` pixels wide and high.

@@ -10,13 +10,13 @@ import numpy as np
 from mujoco import MjsGeom
 from scipy.spatial.distance import cdist
 
-from knowarm.arrays import Floats, Mask
+from knowarm.arrays import Floats, Images, Mask
 from knowarm.check import Check
 from knowarm.errors import UserError
 from knowarm.own_robot.draft_chain import couplings, joint_name, joints_of, polyline_m
 from knowarm.own_robot.grasp_check import check_grasps
 from knowarm.own_robot.opening import check_fingers
-from knowarm.own_robot.pixels import Images, SceneImages, different_pixels, robot_parts
+from knowarm.own_robot.pixels import SceneImages, different_pixels, robot_parts
 from knowarm.own_robot.plausible import fixed_parts_above, question_ranges
 from knowarm.own_robot.poses import robot_file
 from knowarm.own_robot.servo_check import check_servos

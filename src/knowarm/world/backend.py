@@ -3,11 +3,9 @@
 import copy
 from typing import Literal
 
-import mujoco
-import numpy as np
-from numpy.typing import NDArray
+from mujoco import mjtDisableBit, mjtStage
 
-from knowarm.arrays import Floats, Mask
+from knowarm.arrays import Floats, Indices, Mask
 from knowarm.cores import available_cores
 from knowarm.world.batch import make_batch
 from knowarm.world.rebuilt import Rebuilt
@@ -17,7 +15,7 @@ from knowarm.world.scene.scene import Scene, target_places
 Dynamics = Literal["dynamic", "kinematic"]
 """Position servos with inertia and contacts, or joint angles set exactly."""
 
-_POSES = mujoco.mjtStage.mjSTAGE_POS.value
+_POSES = mjtStage.mjSTAGE_POS.value
 
 
 class MujocoSimulator(Rebuilt):
@@ -45,8 +43,8 @@ class MujocoSimulator(Rebuilt):
         if dynamics == "kinematic":
             # Poses need no contacts and no constraints.
             model = copy.copy(model)
-            model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-            model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+            model.opt.disableflags |= int(mjtDisableBit.mjDSBL_CONTACT)
+            model.opt.disableflags |= int(mjtDisableBit.mjDSBL_CONSTRAINT)
         self.batch = make_batch(model, num_envs, num_threads or available_cores())
         self._stage = _POSES
         bind = self.batch.bind
@@ -77,7 +75,7 @@ class MujocoSimulator(Rebuilt):
 
     def reset(
         self,
-        env_ids: NDArray[np.intp],
+        env_ids: Indices,
         joint_targets: Floats,
         target_position: Floats,
         distractor_position: Floats | None = None,
@@ -107,7 +105,7 @@ class MujocoSimulator(Rebuilt):
             self.batch.step(nstep=self.substeps, stage=self._stage)
 
     def set_joints(
-        self, joint_positions: Floats, env_ids: NDArray[np.intp] | None = None
+        self, joint_positions: Floats, env_ids: Indices | None = None
     ) -> None:
         """Set the joint angles (m, J) [rad] and compute poses without advancing time.
 
@@ -127,11 +125,11 @@ class MujocoSimulator(Rebuilt):
         self.batch.forward(stage=self._stage)
 
     def _place_targets(
-        self, ids: NDArray[np.intp], position: Floats, visible: Mask | None
+        self, ids: Indices, position: Floats, visible: Mask | None
     ) -> None:
         """Put the targets on their support; see `reset`."""
         places = target_places(self.scene, position)
         self._mocap[ids[:, None], self.scene.target_mocap] = places
 
-    def _set_servos(self, ids: NDArray[np.intp] | slice, joint_targets: Floats) -> None:
+    def _set_servos(self, ids: Indices | slice, joint_targets: Floats) -> None:
         self._ctrl[ids] = joint_targets

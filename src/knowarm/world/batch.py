@@ -6,13 +6,24 @@ from copy import copy
 from itertools import repeat
 from typing import Any
 
-import mujoco
 import numpy as np
-from mujoco import mjtStage, mjtState
+from mujoco import (
+    MjData,
+    MjModel,
+    mj_forward,
+    mj_fwdPosition,
+    mj_getState,
+    mj_setState,
+    mj_stateSize,
+    mj_step,
+    mj_versionString,
+    mjtStage,
+    mjtState,
+)
 
 from knowarm.arrays import Floats, Integers
 
-MUJOCO = tuple(map(int, mujoco.mj_versionString().split(".")[:2]))
+MUJOCO = tuple(map(int, mj_versionString().split(".")[:2]))
 """Version of MuJoCo."""
 
 _INTEGRATION = int(mjtState.mjSTATE_INTEGRATION)
@@ -32,8 +43,8 @@ _NONE = int(mjtStage.mjSTAGE_NONE)
 _ALL = int(mjtStage.mjSTAGE_ACC)
 _FORWARD = {
     _NONE: lambda model, data: None,
-    int(mjtStage.mjSTAGE_POS): mujoco.mj_fwdPosition,
-    _ALL: mujoco.mj_forward,
+    int(mjtStage.mjSTAGE_POS): mj_fwdPosition,
+    _ALL: mj_forward,
 }
 """Computes the stages of ``mj_forward`` up to one."""
 
@@ -53,16 +64,16 @@ class LoopBatch:
         state: state of each simulation, (n, S), to read and write.
     """
 
-    def __init__(self, model: mujoco.MjModel, nsim: int, nthread: int) -> None:
+    def __init__(self, model: MjModel, nsim: int, nthread: int) -> None:
         self.model = model
         self.nsim = nsim
         self._models = [copy(model) for _ in range(min(nthread, nsim))]
-        self._data = [mujoco.MjData(model) for model in self._models]
+        self._data = [MjData(model) for model in self._models]
         self._pool = ThreadPoolExecutor(len(self._models))
         self._outputs: dict[str, Any] = {}
         self._fields: dict[str, Any] = {}
-        start = np.zeros(mujoco.mj_stateSize(model, _INTEGRATION))
-        mujoco.mj_getState(model, self._data[0], start, _INTEGRATION)
+        start = np.zeros(mj_stateSize(model, _INTEGRATION))
+        mj_getState(model, self._data[0], start, _INTEGRATION)
         self.state: Floats = np.tile(start, (nsim, 1))
 
     def bind(self, name: str) -> Any:
@@ -70,7 +81,7 @@ class LoopBatch:
         template = np.asarray(getattr(self._data[0], name))
         if name in _STATES:
             part = int(_STATES[name])
-            first = mujoco.mj_stateSize(self.model, _INTEGRATION & (part - 1))
+            first = mj_stateSize(self.model, _INTEGRATION & (part - 1))
             rows = self.state[:, first : first + template.size]
             return rows.reshape(self.nsim, *template.shape)
         if name not in self._outputs:
@@ -110,23 +121,23 @@ class LoopBatch:
         for i in ids:
             for name, values in self._fields.items():
                 _set_field(model, name, values[i])
-            mujoco.mj_setState(model, data, self.state[i], _INTEGRATION)
+            mj_setState(model, data, self.state[i], _INTEGRATION)
             if nstep:
-                mujoco.mj_step(model, data, nstep)
+                mj_step(model, data, nstep)
             _FORWARD[stage](model, data)
-            mujoco.mj_getState(model, data, self.state[i], _INTEGRATION)
+            mj_getState(model, data, self.state[i], _INTEGRATION)
             for name, output in self._outputs.items():
                 output[i] = getattr(data, name)
 
 
-def _field(model: mujoco.MjModel, name: str) -> Any:
+def _field(model: MjModel, name: str) -> Any:
     """Return a field of a model, or of its options as "opt.timestep"."""
     if name.startswith("opt."):
         return getattr(model.opt, name.removeprefix("opt."))
     return getattr(model, name)
 
 
-def _set_field(model: mujoco.MjModel, name: str, value: Any) -> None:
+def _set_field(model: MjModel, name: str, value: Any) -> None:
     if name.startswith("opt."):
         setattr(model.opt, name.removeprefix("opt."), value)
     else:

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from mujoco import mjtJoint
+from numpy.linalg import norm
 
 from knowarm.arrays import Floats, Integers, Mask
 from knowarm.compiling import njit
@@ -228,7 +229,7 @@ def _axis_frame(anchor: Floats, axis: Floats) -> Floats:
     """Build a frame (4, 4) at a joint's anchor with z along its axis."""
     side = np.eye(3)[np.argmin(np.abs(axis))]
     x = np.cross(side, axis)
-    x /= np.linalg.norm(x)
+    x /= norm(x)
     frame = np.eye(4)
     frame[:3, :3] = np.stack([x, np.cross(axis, x), axis], axis=1)
     frame[:3, 3] = anchor

@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from knowarm.arrays import Floats, Integers, Mask
+from knowarm.arrays import Array, Floats, Images, Integers, Mask
 from knowarm.errors import UserError
 from knowarm.world.agents.protocol import AgentProtocol, Batch
-from knowarm.world.envs.base import Images
 from knowarm.world.envs.single_env import ArmEnv, vector_of
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.sampling import Episodes
-from knowarm.world.tasks.state import Array, NamedArrays
+from knowarm.world.tasks.state import NamedArrays
 
 REPORT_S = 5.0
 """Least time between two lines on the progress [s]."""

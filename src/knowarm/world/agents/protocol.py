@@ -2,12 +2,11 @@
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Protocol, Self
+from typing import ClassVar, Protocol, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-from knowarm.arrays import Floats, Integers, Names
+from knowarm.arrays import Array, Floats, Integers, Names
 from knowarm.errors import UserError
 from knowarm.questions import find_rows
 from knowarm.world.config import EnvConfig, facets_of, questions_of, scene_of
@@ -18,7 +17,7 @@ from knowarm.world.envs.vector_env import ArmVectorEnv
 INPUTS = ("image", "words", "graph", "simulator")
 """What an agent may use: the image, the query's words, a graph, the simulator's state."""
 
-Observations = Mapping[str, NDArray[Any]]
+Observations = Mapping[str, Array]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +32,7 @@ class Batch:
     """Start angle of each joint by name, (n,) [rad] (slides: [m])."""
     graph: Collection[tuple[str, str, str]] | None = None
     """Triples that replace the agent's own graph in these episodes."""
-    facts: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    facts: Mapping[str, Array] = field(default_factory=dict)
     """What else the task tells of each episode, (n, ...); see `Skill.facts`."""
     own_rows: Integers | None = None
     """Rows of an agent that is told each episode apart, (n,); None: those of the names."""

@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from knowarm.arrays import Integers
+from knowarm.arrays import Images, Integers
 from knowarm.world.agents.protocol import (
     AgentProtocol,
     Batch,
@@ -13,7 +13,6 @@ from knowarm.world.agents.protocol import (
     PrivilegedAgent,
 )
 from knowarm.world.config import EnvConfig, scene_of
-from knowarm.world.envs.base import Images
 from knowarm.world.envs.running import joint_increments
 from knowarm.world.envs.single_env import ArmEnv
 from knowarm.world.envs.vector_env import ArmVectorEnv

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from knowarm.arrays import Mask
+from knowarm.arrays import Indices, Mask
 from knowarm.errors import UserError
 from knowarm.world.tasks.sampling import Words
-from knowarm.world.tasks.state import Indices, NamedArrays
+from knowarm.world.tasks.state import NamedArrays
 
 Seeds = int | list[int | None] | None
 """Seed of the first environment, one per environment, or none."""

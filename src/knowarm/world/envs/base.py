@@ -5,9 +5,9 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from gymnasium.vector import VectorEnv
 from gymnasium.vector.utils import batch_space
-from numpy.typing import NDArray
+from numpy.linalg import norm
 
-from knowarm.arrays import Mask
+from knowarm.arrays import Array, Images, Indices, Mask
 from knowarm.errors import UserError, warn
 from knowarm.world.config import EnvConfig, scene_of
 from knowarm.world.envs.arguments import Options, Seeds
@@ -15,9 +15,7 @@ from knowarm.world.envs.interface import Interface
 from knowarm.world.envs.running import RunningEpisodes
 from knowarm.world.render.renderer import Renderer, make_renderer
 from knowarm.world.scene.scene import Scene
-from knowarm.world.tasks.state import Array, Indices, NamedArrays
-
-Images = NDArray[np.uint8]
+from knowarm.world.tasks.state import NamedArrays
 
 Infos = dict[str, Any]
 """Infos of Gymnasium by name."""
@@ -131,7 +129,7 @@ class BaseVectorEnv(VectorEnv[Any, ArrayT, ArrayT], Generic[ArrayT]):
 def _question_distance(config: EnvConfig, scene: Scene) -> None:
     """Warn of a success distance that is longer than the diagonal of the rectangle."""
     sides = 2 * np.array(scene.robot.rectangle_half_size_m)
-    if config.success_distance_m > np.linalg.norm(sides):
+    if config.success_distance_m > norm(sides):
         width, depth = sides
         warn(
             f"Objects stand in a rectangle of {width:g} x {depth:g} m, and the success distance of "

@@ -4,12 +4,12 @@ from typing import Any
 
 from gymnasium.vector import VectorEnv
 
+from knowarm.arrays import Array
 from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.base import Infos
 from knowarm.world.envs.single_env import ArmEnv, make_vector_env
 from knowarm.world.tasks import find_task
-from knowarm.world.tasks.state import Array
 
 
 class IdEnv(ArmEnv):

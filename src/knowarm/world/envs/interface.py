@@ -4,13 +4,13 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from knowarm.arrays import Floats, Integers
+from knowarm.arrays import Array, Floats, Floats32, Images, Integers
 from knowarm.errors import UserError, unknown_name
 from knowarm.world.config import EnvConfig, facets_of
 from knowarm.world.scene.scene import Scene
-from knowarm.world.tasks.state import ACTION_LEVELS, Array, NamedArrays
+from knowarm.world.tasks.state import ACTION_LEVELS, NamedArrays
 
 Action = Literal["levels", "continuous"]
 """Integers that index ``ACTION_LEVELS``; or joint steps in units of the MPI, -1 to 1."""
@@ -72,9 +72,7 @@ class Interface:
         if self._is_continuous:
             self.action_space = spaces.Box(-1.0, 1.0, (joints,), np.float32)
 
-    def observe(
-        self, images: NDArray[np.uint8], joints: Floats, rows: Integers
-    ) -> NamedArrays:
+    def observe(self, images: Images, joints: Floats, rows: Integers) -> NamedArrays:
         """Return the named parts of n observations, (n, ...) each; ``rows`` of the table, (n,).
 
         Joints that are further beyond a limit than their range is wide are clipped to that.
@@ -106,7 +104,7 @@ def _check_name(what: str, name: str, allowed: tuple[str, ...]) -> None:
 
 def _checked_table(
     config: EnvConfig, names: tuple[str, ...], knowledge: ArrayLike | None
-) -> NDArray[np.float32]:
+) -> Floats32:
     """Return the knowledge table, (R, K); without rows where it is not observed."""
     if "knowledge" not in names:
         if knowledge is not None:

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from knowarm.arrays import Floats, Integers, Mask
+from knowarm.arrays import Floats, Indices, Integers, Mask
 from knowarm.errors import UserError
 from knowarm.questions import find_rows, number_objects
 from knowarm.world.backend import MujocoSimulator
@@ -27,7 +27,6 @@ from knowarm.world.tasks.state import (
     NUMBERS,
     EpisodeState,
     Frames,
-    Indices,
     NamedArrays,
     returned,
     returned_rows,

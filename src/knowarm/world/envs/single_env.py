@@ -8,15 +8,14 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import iterate
 from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
-from numpy.typing import NDArray
 
-from knowarm.arrays import Floats
+from knowarm.arrays import Array, Floats, Images
 from knowarm.errors import UserError, unknown_name
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.arguments import Options
 from knowarm.world.envs.base import Infos
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.tasks.state import Array, NamedArrays
+from knowarm.world.tasks.state import NamedArrays
 
 INTERFACE = ("action", "observe", "knowledge")
 """Options of ``ArmVectorEnv`` besides the fields of ``EnvConfig``."""
@@ -114,7 +113,7 @@ class ArmEnv(gymnasium.Env[Any, Array]):
     def _only(self, observations: Any) -> Any:
         return next(iter(iterate(self.observation_space, observations)))
 
-    def render(self) -> NDArray[np.uint8] | None:
+    def render(self) -> Images | None:
         """Draw the policy's view, (480, 480, 3) uint8; None without a render mode."""
         if self.render_mode is None:
             return None

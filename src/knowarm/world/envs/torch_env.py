@@ -8,16 +8,15 @@ import torch
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
-from numpy.typing import NDArray
 from torch import Tensor
 
-from knowarm.arrays import Integers, Mask
+from knowarm.arrays import Array, Floats32, Integers, Mask
 from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.base import BaseVectorEnv, Infos, draw_images
 from knowarm.world.envs.privileged import privileged_columns, privileged_state
 from knowarm.world.tasks.skills.teacher import COARSE_LEVELS, Teacher
-from knowarm.world.tasks.state import Array, nearest_levels
+from knowarm.world.tasks.state import nearest_levels
 
 
 class TorchArmVectorEnv(BaseVectorEnv[Tensor]):
@@ -68,7 +67,7 @@ class TorchArmVectorEnv(BaseVectorEnv[Tensor]):
         *,
         device: str = "cpu",
         num_threads: int = 0,
-        table: NDArray[np.float32] | None = None,
+        table: Floats32 | None = None,
     ) -> None:
         self.device = torch_device(device)
         super().__init__(config, num_envs, num_threads)

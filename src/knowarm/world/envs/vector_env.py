@@ -8,13 +8,13 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space, iterate
 from numpy.typing import ArrayLike
 
-from knowarm.arrays import Floats, Mask
+from knowarm.arrays import Array, Floats, Images, Indices, Mask
 from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.base import BaseVectorEnv, Images, Infos, draw_images
+from knowarm.world.envs.base import BaseVectorEnv, Infos, draw_images
 from knowarm.world.envs.interface import Action, Observe
 from knowarm.world.render.renderer import Renderer, make_renderer
-from knowarm.world.tasks.state import Array, Indices, NamedArrays
+from knowarm.world.tasks.state import NamedArrays
 
 RENDER_SIZE = 480  # Width and height of the images that ``render`` returns [px]
 Step = tuple[Any, Floats, Mask, Mask, Infos]

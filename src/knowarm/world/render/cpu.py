@@ -1,18 +1,19 @@
 """CPU ray caster: images of MuJoCo geoms, compiled by Numba, without OpenGL."""
 
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import mujoco
 import numpy as np
+from mujoco import MjData, MjModel, mj_camlight, mj_kinematics
 from numpy import float32, int32
-from numpy.typing import NDArray
+from numpy.linalg import norm
 
+from knowarm.arrays import Array, Floats32, Images
 from knowarm.errors import UserError
 from knowarm.world.rebuilt import Rebuilt
 from knowarm.world.render.cpu_kernels import RenderBatch, Scratch, Stored, render_range
 from knowarm.world.render.fill_loops import PROJECTION, Field
-from knowarm.world.render.numeric import FAR, Floats32, Images, Integers32
+from knowarm.world.render.numeric import FAR, Integers32
 from knowarm.world.render.scenery import Scenery, read_lamps, read_scenery, read_view
 from knowarm.world.render.tiles import (
     ANTIALIASING,
@@ -64,7 +65,7 @@ class Raycaster(Rebuilt):
 
     def __init__(
         self,
-        model: mujoco.MjModel,
+        model: MjModel,
         camera: int | str,
         width: int,
         height: int,
@@ -84,15 +85,15 @@ class Raycaster(Rebuilt):
             raise UserError(
                 f"Raycaster num_threads must be at least 1, got {num_threads}."
             )
-        data = mujoco.MjData(model)
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_camlight(model, data)
+        data = MjData(model)
+        mj_kinematics(model, data)
+        mj_camlight(model, data)
         self.width = width
         self.height = height
         self.view, half_height = read_view(model, data, camera)
         triangle_m = None
         if mesh_triangle_px is not None:
-            depth = np.linalg.norm(data.geom_xpos - self.view[:3], axis=1)
+            depth = norm(data.geom_xpos - self.view[:3], axis=1)
             pixel_m = np.maximum(depth, NEAREST_M) * (2 * half_height / height)
             triangle_m = mesh_triangle_px * pixel_m
         self.scenery = read_scenery(model, geom_groups, triangle_m)
@@ -112,8 +113,8 @@ class Raycaster(Rebuilt):
 
     def draw(
         self,
-        geom_position: NDArray[Any],
-        geom_matrix: NDArray[Any],
+        geom_position: Array,
+        geom_matrix: Array,
         geom_rgba: Floats32 | None = None,
         views: Floats32 | None = None,
         lamps: Floats32 | None = None,
@@ -149,8 +150,8 @@ class Raycaster(Rebuilt):
 
     def trace(
         self,
-        geom_position: NDArray[Any],
-        geom_matrix: NDArray[Any],
+        geom_position: Array,
+        geom_matrix: Array,
         geom_rgba: Floats32 | None = None,
     ) -> Trace:
         """Find what the centre of each pixel shows, with the kernels that draw."""
@@ -181,7 +182,7 @@ class Raycaster(Rebuilt):
         return Trace(geom, distance)
 
     def _draw_fixed(
-        self, data: mujoco.MjData, background: tuple[float, float, float]
+        self, data: MjData, background: tuple[float, float, float]
     ) -> Stored:
         """Draw the background and the geoms that stand still."""
         rgb = (np.clip(background, 0.0, 1.0) * 255 + 0.5).astype(np.uint8)
@@ -205,8 +206,8 @@ class Raycaster(Rebuilt):
 
     def _batch(
         self,
-        geom_position: NDArray[Any],
-        geom_matrix: NDArray[Any],
+        geom_position: Array,
+        geom_matrix: Array,
         geom_rgba: Floats32 | None = None,
         views: Floats32 | None = None,
         lamps: Floats32 | None = None,

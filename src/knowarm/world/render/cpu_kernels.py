@@ -7,9 +7,8 @@ first, so that only the tiles that any of them covers are drawn again.
 from typing import Any, NamedTuple
 
 from numpy import int32
-from numpy.typing import NDArray
 
-from knowarm.arrays import Mask
+from knowarm.arrays import Array, Floats32, Images, Mask
 from knowarm.world.render.fill_loops import (
     Field,
     fill_mesh,
@@ -18,8 +17,6 @@ from knowarm.world.render.fill_loops import (
 )
 from knowarm.world.render.intersections import MESH
 from knowarm.world.render.numeric import (
-    Floats32,
-    Images,
     Integers32,
     cached_njit,
     kernel,
@@ -120,7 +117,7 @@ def _project_geoms(
 
 
 @kernel
-def _copy(target: NDArray[Any], source: NDArray[Any]) -> None:
+def _copy(target: Array, source: Array) -> None:
     """Copy an array; slice assignment, which Numba does not vectorize, takes much longer."""
     for i in range(len(target)):
         target[i] = source[i]
@@ -167,7 +164,7 @@ def _average(
 
 
 @scalar
-def _row(values: NDArray[Any], e: int) -> Any:
+def _row(values: Array, e: int) -> Any:
     """Return the values of an environment, or those that all have."""
     return values[min(e, len(values) - 1)]
 

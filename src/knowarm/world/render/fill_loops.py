@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 from numpy import float32, int32
 
+from knowarm.arrays import Floats32
 from knowarm.world.render import intersections
 from knowarm.world.render.intersections import (
     BOX,
@@ -28,7 +29,6 @@ from knowarm.world.render.intersections import (
 from knowarm.world.render.numeric import (
     ONE,
     ZERO,
-    Floats32,
     Integers32,
     Matrix,
     Paint,

@@ -6,18 +6,17 @@ fast-simplification).
 """
 
 from importlib.metadata import version
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import fast_simplification
 import numpy as np
 import scipy
 from numpy import float32, int32
 from numpy.linalg import norm
-from numpy.typing import NDArray
 
-from knowarm.arrays import Floats
+from knowarm.arrays import Array, Floats, Floats32, Indices
 from knowarm.world.cache import cache_file, read_arrays, write_arrays
-from knowarm.world.render.numeric import Floats32, Integers32
+from knowarm.world.render.numeric import Integers32
 
 FEWEST = 32  # Meshes are not simplified to fewer triangles
 WELD = 0.25  # Side of the cells whose vertices are merged before the collapses, in triangles
@@ -27,10 +26,6 @@ CREASE_COSINE = 0.4
 
 # Part of the cache's key; to be increased with every change of the results
 REVISION = 2
-
-
-Array = NDArray[Any]
-Indices = NDArray[np.intp]
 
 
 class Mesh(NamedTuple):

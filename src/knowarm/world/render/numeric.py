@@ -14,16 +14,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy import float32, int32
 from numpy.typing import NDArray
 
+from knowarm.arrays import Floats32
 from knowarm.compiling import njit
 from knowarm.private_apis import key_numba_cache
 
-Floats32 = NDArray[float32]
 Integers32 = NDArray[int32]
-Images = NDArray[np.uint8]
 
 Vector = tuple[float32, float32, float32]
 """Three float32 scalars, which compiled code keeps in registers."""

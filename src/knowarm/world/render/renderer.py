@@ -10,13 +10,12 @@ from typing import Protocol
 import mujoco
 import numpy as np
 
-from knowarm.arrays import Floats
+from knowarm.arrays import Floats, Floats32, Images
 from knowarm.cores import available_cores
 from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig
 from knowarm.world.rebuilt import Rebuilt
 from knowarm.world.render.cpu import Raycaster
-from knowarm.world.render.numeric import Floats32, Images
 from knowarm.world.scene.scene import Scene
 
 

@@ -3,11 +3,11 @@
 import math
 from typing import NamedTuple
 
-import mujoco
 import numpy as np
+from mujoco import MjData, MjModel, mjtGeom, mjtLightType
 from numpy import float32, int32
 
-from knowarm.arrays import Floats, Integers, Mask
+from knowarm.arrays import Floats, Floats32, Integers, Mask
 from knowarm.errors import UserError, unknown_name
 from knowarm.world.render.intersections import MESH, SUPPORTED
 from knowarm.world.render.mesh_simplification import (
@@ -16,7 +16,7 @@ from knowarm.world.render.mesh_simplification import (
     simplified,
     unit_normals,
 )
-from knowarm.world.render.numeric import Floats32, Integers32
+from knowarm.world.render.numeric import Integers32
 from knowarm.world.scene.appearance import geom_colours
 
 NO_MESH = Mesh(
@@ -58,7 +58,7 @@ class Scenery(NamedTuple):
 
 
 def read_scenery(
-    model: mujoco.MjModel,
+    model: MjModel,
     geom_groups: tuple[int, ...],
     triangle_m: Floats | None = None,
 ) -> Scenery:
@@ -70,7 +70,7 @@ def read_scenery(
     for g in drawn:
         kind = model.geom_type[g]
         if kind not in SUPPORTED:
-            kind_name = mujoco.mjtGeom(kind).name.removeprefix("mjGEOM_").lower()
+            kind_name = mjtGeom(kind).name.removeprefix("mjGEOM_").lower()
             raise UserError(
                 f"Geom {model.geom(g).name or g!r} is of type {kind_name}, which "
                 "the ray caster cannot draw. Allowed are plane, sphere, capsule, ellipsoid, "
@@ -92,7 +92,7 @@ def read_scenery(
 
 
 def read_view(
-    model: mujoco.MjModel, data: mujoco.MjData, camera: int | str
+    model: MjModel, data: MjData, camera: int | str
 ) -> tuple[Floats32, float]:
     """Read a perspective camera that stands still, by name or id.
 
@@ -126,7 +126,7 @@ def read_view(
     return view.astype(float32), math.tan(math.radians(model.cam_fovy[camera]) / 2)
 
 
-def read_lamps(model: mujoco.MjModel, data: mujoco.MjData) -> Floats32:
+def read_lamps(model: MjModel, data: MjData) -> Floats32:
     """Read a model's lights, (4, 3) in world coordinates.
 
     Rows: sum of ambient colours, diffuse colours of headlight and directional light, and the unit
@@ -138,7 +138,7 @@ def read_lamps(model: mujoco.MjModel, data: mujoco.MjData) -> Floats32:
         lamps[0] += head.ambient
         lamps[1] = head.diffuse
     active = np.flatnonzero(model.light_active)
-    directional = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+    directional = mjtLightType.mjLIGHT_DIRECTIONAL
     if len(active) > 1 or (model.light_type[active] != directional).any():
         raise UserError(
             "The ray caster supports a headlight and at most one directional light; the model has "
@@ -151,7 +151,7 @@ def read_lamps(model: mujoco.MjModel, data: mujoco.MjData) -> Floats32:
     return lamps
 
 
-def _without_twins(model: mujoco.MjModel, drawn: Integers) -> Integers:
+def _without_twins(model: MjModel, drawn: Integers) -> Integers:
     """Leave out geoms that show the same mesh at the same place in the same colour as another.
 
     Converted models often show each mesh once to be seen and once to collide.
@@ -172,15 +172,13 @@ def _without_twins(model: mujoco.MjModel, drawn: Integers) -> Integers:
     return drawn[np.sort(first)]
 
 
-def _is_fixed(model: mujoco.MjModel, body: Integers | int) -> Mask:
+def _is_fixed(model: MjModel, body: Integers | int) -> Mask:
     """Tell whether bodies are permanently welded to the world (a mocap body is not)."""
     is_welded: Mask = model.body_weldid[body] == 0
     return is_welded & (model.body_mocapid[model.body_rootid[body]] < 0)
 
 
-def _read_meshes(
-    model: mujoco.MjModel, drawn: Integers, triangle_m: Floats | None
-) -> Meshes:
+def _read_meshes(model: MjModel, drawn: Integers, triangle_m: Floats | None) -> Meshes:
     """Read the triangles of the drawn mesh geoms, those of a shared mesh once."""
     span = np.zeros((model.ngeom, 4), int32)
     winding = np.zeros(model.ngeom, int32)
@@ -213,7 +211,7 @@ def _read_meshes(
     )
 
 
-def _read_mesh(model: mujoco.MjModel, mesh: int) -> Mesh:
+def _read_mesh(model: MjModel, mesh: int) -> Mesh:
     """Read one mesh, with normals that fit its triangles."""
     first = model.mesh_vertadr[mesh]
     vertices = slice(first, first + model.mesh_vertnum[mesh])

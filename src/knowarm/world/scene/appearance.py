@@ -4,13 +4,14 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import mujoco
 import numpy as np
+from mujoco import MjModel, mjtTextureRole
+from numpy.linalg import norm
 from scipy.spatial.transform import Rotation
 
-from knowarm.arrays import Floats, Integers
+from knowarm.arrays import Floats, Floats32, Integers
 from knowarm.config import within
-from knowarm.world.scene.scene import Floats32, Scene
+from knowarm.world.scene.scene import Scene
 
 MAX_DISTRACTORS = 4
 DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)  # A geom with this colour takes its material's
@@ -70,10 +71,10 @@ class VisualRandomization:
         return FIXED_DRAWS + DRAWS_PER_DISTRACTOR * self.distractors
 
 
-def _material_colours(model: mujoco.MjModel) -> Floats32:
+def _material_colours(model: MjModel) -> Floats32:
     """Return the colours of the materials, (materials, 4): with a texture, times its mean."""
     colours = model.mat_rgba.astype(np.float32)
-    textures = model.mat_texid[:, int(mujoco.mjtTextureRole.mjTEXROLE_RGB)]
+    textures = model.mat_texid[:, int(mjtTextureRole.mjTEXROLE_RGB)]
     for material, texture in enumerate(textures):
         if texture >= 0:
             channels = model.tex_nchannel[texture]
@@ -84,7 +85,7 @@ def _material_colours(model: mujoco.MjModel) -> Floats32:
     return colours
 
 
-def geom_colours(model: mujoco.MjModel) -> Floats32:
+def geom_colours(model: MjModel) -> Floats32:
     """Return the colours as MuJoCo draws them, (G, 4): the geom's own, or its material's."""
     colours = model.geom_rgba.astype(np.float32)
     is_default = (model.geom_rgba == DEFAULT_RGBA).all(axis=1)
@@ -233,6 +234,6 @@ class AppearanceSource:
         half = _SPREAD * np.array(robot.rectangle_half_size_m)
         drawn = robot.rectangle_centre_m + signed * half
         offset = drawn - position
-        distance = np.linalg.norm(offset, axis=-1, keepdims=True)
+        distance = norm(offset, axis=-1, keepdims=True)
         pushed = position + offset / np.clip(distance, 1e-9, None) * _CLEARANCE_M
         return np.where(distance < _CLEARANCE_M, pushed, drawn)

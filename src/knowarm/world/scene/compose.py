@@ -4,8 +4,19 @@ from collections.abc import Sequence
 from itertools import product
 from typing import Any
 
-import mujoco
 import numpy as np
+from mujoco import (
+    MjData,
+    MjsBody,
+    MjSpec,
+    mj_forward,
+    mj_mulM,
+    mjtGeom,
+    mjtJoint,
+    mjtTrn,
+    mju_mat2Quat,
+)
+from numpy.linalg import norm
 
 from knowarm.arrays import Floats
 from knowarm.errors import UserError
@@ -31,7 +42,7 @@ ROBOT_BIT = 1
 SUPPORT_BIT = 2
 
 
-def attach_robot(spec: mujoco.MjSpec, robot: Robot) -> None:
+def attach_robot(spec: MjSpec, robot: Robot) -> None:
     """Attach the robot, gravity compensated, with only the joints that the agent moves.
 
     Floor, furniture and loose bodies of its file are left out: targets and support are the scene's.
@@ -78,7 +89,7 @@ def attach_robot(spec: mujoco.MjSpec, robot: Robot) -> None:
 
 
 def attach_target(
-    spec: mujoco.MjSpec,
+    spec: MjSpec,
     robot: Robot,
     target: Target,
     targets: Sequence[Target],
@@ -169,12 +180,12 @@ def compose(
     robot: Robot,
     targets: Sequence[Target],
     distractors: int = 0,
-) -> mujoco.MjSpec:
+) -> MjSpec:
     """Compose floor, table, lights, camera, robot with servos, and targets as mocap bodies.
 
     All robot bodies are gravity compensated. The only contacts are between robot and support.
     """
-    spec = mujoco.MjSpec.from_string(_SURROUNDINGS)
+    spec = MjSpec.from_string(_SURROUNDINGS)
     if robot.table:
         _add_table(spec.worldbody, robot.table)
     spec.modelname = f"knowarm {robot.name}"
@@ -188,7 +199,7 @@ def compose(
     return spec
 
 
-def _add_servos(spec: mujoco.MjSpec, robot: Robot) -> None:
+def _add_servos(spec: MjSpec, robot: Robot) -> None:
     """Add a critically damped position servo per joint, tuned to the inertia it moves.
 
     With m the diagonal of the joint-space inertia at home and w the natural frequency [rad/s], the
@@ -197,22 +208,22 @@ def _add_servos(spec: mujoco.MjSpec, robot: Robot) -> None:
     at most `SLOWER`.
     """
     model = spec.compile()
-    data = mujoco.MjData(model)
+    data = MjData(model)
     joints = [model.joint(ROBOT_PREFIX + name) for name in robot.joints]
     for name, joint, angle in zip(robot.joints, joints, robot.home, strict=True):
         _check_joint(robot, name, joint)
         data.qpos[joint.qposadr] = angle
-    mujoco.mj_forward(model, data)
+    mj_forward(model, data)
     column = np.zeros(model.nv)
     frequency = 2 * np.pi * robot.servo_frequency_hz
     for name, joint in zip(robot.joints, joints, strict=True):
         dof = joint.dofadr[0]
         least_for_friction = joint.frictionloss[0] / (STOP_RAD * frequency**2)
         least_for_damping = joint.damping[0] / (2 * SLOWER * frequency)
-        mujoco.mj_mulM(model, data, column, np.eye(model.nv)[dof])
+        mj_mulM(model, data, column, np.eye(model.nv)[dof])
         mass = float(max(column[dof], least_for_friction, least_for_damping))
         actuator = spec.add_actuator(
-            name=name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT
+            name=name, target=joint.name, trntype=mjtTrn.mjTRN_JOINT
         )
         actuator.set_to_position(kp=mass * frequency**2, kv=2 * mass * frequency)
 
@@ -220,26 +231,26 @@ def _add_servos(spec: mujoco.MjSpec, robot: Robot) -> None:
 def _check_joint(robot: Robot, name: str, joint: Any) -> None:
     """Check that a joint has one degree of freedom, and a range if it is a slide."""
     kind = joint.type[0]
-    is_limited_slide = kind == mujoco.mjtJoint.mjJNT_SLIDE and joint.limited[0]
-    if kind != mujoco.mjtJoint.mjJNT_HINGE and not is_limited_slide:
+    is_limited_slide = kind == mjtJoint.mjJNT_SLIDE and joint.limited[0]
+    if kind != mjtJoint.mjJNT_HINGE and not is_limited_slide:
         raise UserError(
             f"Robot {robot.name!r}: joint {name!r} must be a hinge, or a slide with a range "
             "(actions are clipped to it): give it a range in the MJCF or remove it from joints."
         )
 
 
-def _add_camera(world: mujoco.MjsBody, robot: Robot) -> None:
+def _add_camera(world: MjsBody, robot: Robot) -> None:
     """Add the policy's camera, level or rolled."""
     position = np.array(robot.camera_position_m)
     backward = position - np.array(robot.camera_look_at_m)
-    if np.linalg.norm(backward[:2]) < 1e-6:
+    if norm(backward[:2]) < 1e-6:
         raise UserError(
             f"Robot {robot.name!r}: camera_position_m {robot.camera_position_m} must not lie "
             f"straight above or below camera_look_at_m {robot.camera_look_at_m}; shift one of them."
         )
     quaternion = np.zeros(4)
     axes = roll(level_axes(backward), robot.camera_roll_deg)
-    mujoco.mju_mat2Quat(quaternion, axes.ravel())
+    mju_mat2Quat(quaternion, axes.ravel())
     world.add_camera(
         name=CAMERA, pos=position, quat=quaternion, fovy=robot.camera_fovy_deg
     )
@@ -249,7 +260,7 @@ def level_axes(backward: Floats) -> Floats:
     """Return right, up and backward of a level camera as columns, (3, 3)."""
     right = np.cross([0.0, 0.0, 1.0], backward)
     axes = np.stack([right, np.cross(backward, right), backward], axis=1)
-    return np.asarray(axes / np.linalg.norm(axes, axis=0))
+    return np.asarray(axes / norm(axes, axis=0))
 
 
 def roll(axes: Floats, degrees: float) -> Floats:
@@ -260,7 +271,7 @@ def roll(axes: Floats, degrees: float) -> Floats:
     return np.stack([right, up, axes[:, 2]], axis=1)
 
 
-def _add_table(world: mujoco.MjsBody, table: Table) -> None:
+def _add_table(world: MjsBody, table: Table) -> None:
     """Add a table: its top, on which things stand, and four legs."""
     thickness = 0.015  # half of each
     width = 0.02
@@ -268,7 +279,7 @@ def _add_table(world: mujoco.MjsBody, table: Table) -> None:
     size = np.array(table.half_size_m)
     world.add_geom(
         name="table",
-        type=mujoco.mjtGeom.mjGEOM_BOX,
+        type=mjtGeom.mjGEOM_BOX,
         size=[*size, thickness],
         pos=[*table.centre_m, table.height_m - thickness],
         rgba=[0.52, 0.54, 0.57, 1],
@@ -279,7 +290,7 @@ def _add_table(world: mujoco.MjsBody, table: Table) -> None:
         corner = table.centre_m + np.array(signs) * (size - width)
         world.add_geom(
             name=f"table_leg_{i}",
-            type=mujoco.mjtGeom.mjGEOM_BOX,
+            type=mjtGeom.mjGEOM_BOX,
             size=[width, width, height],
             pos=[*corner, height],
             rgba=[0.35, 0.36, 0.38, 1],
@@ -290,14 +301,14 @@ def _add_table(world: mujoco.MjsBody, table: Table) -> None:
 
 # Shape, size [m] and height of the centre [m] of each distractor
 DISTRACTOR_SHAPES = (
-    (mujoco.mjtGeom.mjGEOM_BOX, [0.035, 0.035, 0.05], 0.05),
-    (mujoco.mjtGeom.mjGEOM_SPHERE, [0.045, 0, 0], 0.045),
-    (mujoco.mjtGeom.mjGEOM_CYLINDER, [0.05, 0.03, 0], 0.03),
-    (mujoco.mjtGeom.mjGEOM_CAPSULE, [0.025, 0.05, 0], 0.075),
+    (mjtGeom.mjGEOM_BOX, [0.035, 0.035, 0.05], 0.05),
+    (mjtGeom.mjGEOM_SPHERE, [0.045, 0, 0], 0.045),
+    (mjtGeom.mjGEOM_CYLINDER, [0.05, 0.03, 0], 0.03),
+    (mjtGeom.mjGEOM_CAPSULE, [0.025, 0.05, 0], 0.075),
 )
 
 
-def _add_distractors(spec: mujoco.MjSpec, robot: Robot, count: int) -> None:
+def _add_distractors(spec: MjSpec, robot: Robot, count: int) -> None:
     """Add objects without physics that are never the target, each of a different shape."""
     x, y = robot.rectangle_centre_m
     for i, (kind, size, height) in enumerate(DISTRACTOR_SHAPES[:count]):

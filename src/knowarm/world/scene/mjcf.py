@@ -6,8 +6,22 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
+from mujoco import (
+    MjsGeom,
+    MjsJoint,
+    MjSpec,
+    mjtBias,
+    mjtGeom,
+    mjtJoint,
+    mjtLimited,
+    mjtOrientation,
+    mju_axisAngle2Quat,
+    mju_getXMLDependencies,
+    mju_mulQuat,
+    mju_quat2Mat,
+)
+from numpy.linalg import norm
 
 from knowarm.arrays import Floats
 from knowarm.errors import UserError, shell_command
@@ -19,10 +33,10 @@ PACKAGE = Path(__file__).parents[2]
 """The installed package, whose own files are trusted."""
 
 
-def read_mjcf(path: Path, owner: str, xml: str | None = None) -> mujoco.MjSpec:
+def read_mjcf(path: Path, owner: str, xml: str | None = None) -> MjSpec:
     """Read an MJCF file, or its text; messages name the owner of it ("Robot 'irb120'")."""
     if xml is not None:
-        return mujoco.MjSpec.from_string(xml)
+        return MjSpec.from_string(xml)
     if path.suffix in (".urdf", ".xacro"):
         raise UserError(
             f"{owner}: mjcf is {str(path)!r}, which is no MJCF file. Convert it: "
@@ -39,7 +53,7 @@ def read_mjcf(path: Path, owner: str, xml: str | None = None) -> mujoco.MjSpec:
     try:
         if not path.is_relative_to(PACKAGE):
             fenced(_compile, path)
-        return mujoco.MjSpec.from_file(str(path))
+        return MjSpec.from_file(str(path))
     except UserError:
         raise
     except ValueError as error:
@@ -52,10 +66,10 @@ def read_mjcf(path: Path, owner: str, xml: str | None = None) -> mujoco.MjSpec:
 def _compile(path: Path) -> None:
     """Compile an MJCF file whose parts are files: no FIFOs, and no pointers of Git LFS."""
     refuse_pointer(path)
-    for name in map(Path, mujoco.mju_getXMLDependencies(str(path))):
+    for name in map(Path, mju_getXMLDependencies(str(path))):
         with reading(name, "Restore the file."):
             refuse_pointer(name)
-    mujoco.MjSpec.from_file(str(path)).compile()
+    MjSpec.from_file(str(path)).compile()
 
 
 _SIZES = "njmax nconmax memory nuserdata"
@@ -64,7 +78,7 @@ _DEMO_ELEMENTS = (
 )
 
 
-def strip(part: mujoco.MjSpec, scene: mujoco.MjSpec) -> None:
+def strip(part: MjSpec, scene: MjSpec) -> None:
     """Delete what a file contains for its own demo and not for the scene it is attached to."""
     # Of options and sizes, those that differ would be left out with a warning.
     part.option = scene.option
@@ -75,10 +89,10 @@ def strip(part: mujoco.MjSpec, scene: mujoco.MjSpec) -> None:
             part.delete(element)
 
 
-def take_ranges(part: mujoco.MjSpec, joints: Iterable[str]) -> None:
+def take_ranges(part: MjSpec, joints: Iterable[str]) -> None:
     """Give joints without a range that of the positions that their actuator is given."""
     for actuator in part.actuators:
-        is_position = actuator.biastype == mujoco.mjtBias.mjBIAS_AFFINE
+        is_position = actuator.biastype == mjtBias.mjBIAS_AFFINE
         low, high = actuator.ctrlrange
         if actuator.target not in joints or not is_position or low >= high:
             continue
@@ -88,19 +102,19 @@ def take_ranges(part: mujoco.MjSpec, joints: Iterable[str]) -> None:
 
 
 def set_range(
-    part: mujoco.MjSpec,
-    joint: mujoco.MjsJoint,
+    part: MjSpec,
+    joint: MjsJoint,
     low: float,
     high: float,
 ) -> None:
     """Limit a joint of a file to a range [rad] (slides: [m])."""
     joint.range = [low, high]
-    if part.compiler.degree and joint.type == mujoco.mjtJoint.mjJNT_HINGE:
+    if part.compiler.degree and joint.type == mjtJoint.mjJNT_HINGE:
         joint.range = np.degrees(joint.range)
-    joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+    joint.limited = mjtLimited.mjLIMITED_TRUE
 
 
-FLOORS = (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD)
+FLOORS = (mjtGeom.mjGEOM_PLANE, mjtGeom.mjGEOM_HFIELD)
 FURNITURE = re.compile(
     "(?<![a-z])(table|desk|counter|bench|shelf|wall|floor|ground|ceiling|cupboard|cabinet)"
     "(top|leg|plate|board|surface)?s?(?![a-z])"
@@ -111,7 +125,7 @@ FURNITURE_M = 0.5
 """Two sides of a box in the world from which it is no part of an arm [m]."""
 
 
-def surroundings(part: mujoco.MjSpec, joints: Iterable[str]) -> list[Any]:
+def surroundings(part: MjSpec, joints: Iterable[str]) -> list[Any]:
     """Return the floors, furniture and top-level bodies of a robot's file without its joints.
 
     Other geoms of the world belong to the robot: a file made from URDF has its base there.
@@ -127,11 +141,11 @@ def surroundings(part: mujoco.MjSpec, joints: Iterable[str]) -> list[Any]:
     return elements
 
 
-def _is_furniture(geom: mujoco.MjsGeom) -> bool:
+def _is_furniture(geom: MjsGeom) -> bool:
     """Return whether a geom of the world is named as furniture, or is a box as wide as a table."""
     if FURNITURE.search(f"{geom.name} {geom.meshname}".lower()):
         return True
-    is_box = geom.type == mujoco.mjtGeom.mjGEOM_BOX
+    is_box = geom.type == mjtGeom.mjGEOM_BOX
     sides = 2 * np.sort(geom.size)
     return bool(is_box and sides[1] >= FURNITURE_M)
 
@@ -145,37 +159,37 @@ def turn_about_z(degrees: float) -> list[float]:
 def _rotation(quaternion: Floats) -> Floats:
     """Return the rotation matrix of a quaternion, (3, 3)."""
     matrix = np.zeros(9)
-    mujoco.mju_quat2Mat(matrix, quaternion)
+    mju_quat2Mat(matrix, quaternion)
     return matrix.reshape(3, 3)
 
 
-def hold(part: mujoco.MjSpec, joint: mujoco.MjsJoint, value: float, owner: str) -> None:
+def hold(part: MjSpec, joint: MjsJoint, value: float, owner: str) -> None:
     """Move a joint's body to its pose at a joint value, so that the joint can be removed."""
     body = joint.parent
     in_degrees = part.compiler.degree
-    is_hinge = joint.type == mujoco.mjtJoint.mjJNT_HINGE
+    is_hinge = joint.type == mjtJoint.mjJNT_HINGE
     reference = joint.ref
     if is_hinge and in_degrees:
         reference = np.radians(reference)
     value -= reference
     if value == 0:
         return
-    quaternion_type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+    quaternion_type = mjtOrientation.mjORIENTATION_QUAT
     if body.alt.type != quaternion_type:
         sequence = part.compiler.eulerseq
-        body.quat = mujoco.MjSpec.resolve_orientation(in_degrees, sequence, body.alt)
+        body.quat = MjSpec.resolve_orientation(in_degrees, sequence, body.alt)
         body.alt.type = quaternion_type
     rotation = _rotation(body.quat)
-    axis = np.asarray(joint.axis) / np.linalg.norm(joint.axis)
-    if joint.type == mujoco.mjtJoint.mjJNT_SLIDE:
+    axis = np.asarray(joint.axis) / norm(joint.axis)
+    if joint.type == mjtJoint.mjJNT_SLIDE:
         body.pos = body.pos + rotation @ axis * value
     elif is_hinge:
         turn = np.zeros(4)
-        mujoco.mju_axisAngle2Quat(turn, axis, value)
+        mju_axisAngle2Quat(turn, axis, value)
         arm = np.asarray(joint.pos)
         body.pos = body.pos + rotation @ (arm - _rotation(turn) @ arm)
         turned = np.zeros(4)
-        mujoco.mju_mulQuat(turned, body.quat, turn)
+        mju_mulQuat(turned, body.quat, turn)
         body.quat = turned
     else:
         raise UserError(
@@ -183,7 +197,7 @@ def hold(part: mujoco.MjSpec, joint: mujoco.MjsJoint, value: float, owner: str) 
         )
 
 
-def hide_sites(part: mujoco.MjSpec) -> None:
+def hide_sites(part: MjSpec) -> None:
     """Move the sites to group 5, which no image shows and viewers show on request."""
     for site in part.sites:
         site.group = 5

@@ -7,11 +7,20 @@ from functools import lru_cache
 from itertools import product
 from pathlib import Path
 
-import mujoco
 import numpy as np
+from mujoco import (
+    FatalError,
+    MjData,
+    MjModel,
+    mj_camlight,
+    mj_kinematics,
+    mjtSameFrame,
+    mju_mulQuat,
+    mju_normalize4,
+)
 from numpy.typing import NDArray
 
-from knowarm.arrays import Floats, Mask
+from knowarm.arrays import Floats, Floats32, Indices, Mask
 from knowarm.errors import UserError
 from knowarm.reading import one_line
 from knowarm.world.description import SUFFIX
@@ -21,9 +30,6 @@ from knowarm.world.robots import find_robot
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.compose import CAMERA, DISTRACTOR, ROBOT_PREFIX, compose
 from knowarm.world.scene.mjcf import turn_about_z
-
-Floats32 = NDArray[np.float32]
-Indices = NDArray[np.intp]
 
 # Range of hinges that have none of their own [rad]
 ENDLESS_RANGE_RAD = (-2 * np.pi, 2 * np.pi)
@@ -45,7 +51,7 @@ class Scene:
     """
 
     # Robot, table, floor, lights, the policy's camera, and the targets as mocap bodies
-    model: mujoco.MjModel
+    model: MjModel
     robot: Robot  # Description of the robot
     targets: tuple[Target, ...]  # Descriptions of the targets
     joint_names: tuple[str, ...]  # Names of the joints that the agent moves, (J,)
@@ -81,11 +87,11 @@ class Scene:
         """Names of each target's colours."""
         return tuple(tuple(target.colours) for target in self.targets)
 
-    def at(self, joints: Floats) -> mujoco.MjData:
+    def at(self, joints: Floats) -> MjData:
         """Compute the poses of everything with the arm at joint angles (J,) [rad]."""
-        data = mujoco.MjData(self.model)
+        data = MjData(self.model)
         data.qpos[self.qpos_index] = joints
-        mujoco.mj_kinematics(self.model, data)
+        mj_kinematics(self.model, data)
         return data
 
 
@@ -148,7 +154,7 @@ def compiling(robot: Robot, targets: Sequence[Target]) -> Iterator[None]:
         yield
     except UserError:
         raise
-    except (ValueError, mujoco.FatalError) as error:
+    except (ValueError, FatalError) as error:
         raise UserError(
             f"The scene of robot {robot.name!r} with {', '.join(names)} does not compile: "
             f"{one_line(error)}. Correct the descriptions."
@@ -156,7 +162,7 @@ def compiling(robot: Robot, targets: Sequence[Target]) -> Iterator[None]:
 
 
 def describe_model(
-    model: mujoco.MjModel,
+    model: MjModel,
     robot: Robot,
     targets: Sequence[Target],
     distractors: int,
@@ -183,9 +189,9 @@ def describe_model(
     shapes = [model.geom(f"{DISTRACTOR}{i}").id for i in range(distractors)]
     distractor_geoms = np.array(shapes, dtype=np.intp)
     distractor_mocap = model.body_mocapid[model.geom_bodyid[distractor_geoms]]
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_camlight(model, data)
+    data = MjData(model)
+    mj_kinematics(model, data)
+    mj_camlight(model, data)
     camera = model.camera(CAMERA).id
     grasp_sites = [_grasp_site(model, target) for target in targets]
     bodies = model.site_bodyid[grasp_sites]
@@ -219,7 +225,7 @@ def describe_model(
 
 
 def _target_geoms(
-    model: mujoco.MjModel, targets: Sequence[Target]
+    model: MjModel, targets: Sequence[Target]
 ) -> tuple[Indices, Mask, Floats32]:
     """Return ``geom_target``, ``geom_coloured`` and ``target_colours`` of a `Scene`."""
     geom_target = np.full(model.ngeom, -1, dtype=np.intp)
@@ -245,7 +251,7 @@ LARGEST_M = 3.0
 
 
 def _check_sizes(
-    model: mujoco.MjModel,
+    model: MjModel,
     targets: Sequence[Target],
     geom_target: Indices,
 ) -> None:
@@ -285,13 +291,13 @@ def project(
     return np.asarray(local[:, :2] / (depth * half_height))
 
 
-def _grasp_site(model: mujoco.MjModel, target: Target) -> int:
+def _grasp_site(model: MjModel, target: Target) -> int:
     """Return the id of the site of a target's grasp frame."""
     return int(model.site(f"{target.name}/{target.grasp_site}").id)
 
 
 def _turn_grasps(
-    model: mujoco.MjModel,
+    model: MjModel,
     robot: Robot,
     targets: Sequence[Target],
 ) -> None:
@@ -303,10 +309,10 @@ def _turn_grasps(
             site = _grasp_site(model, target)
             turn = np.round(turn_about_z(degrees), 8)  # exact for half a turn
             turned = np.zeros(4)
-            mujoco.mju_mulQuat(turned, model.site_quat[site], turn)
-            mujoco.mju_normalize4(turned)
+            mju_mulQuat(turned, model.site_quat[site], turn)
+            mju_normalize4(turned)
             model.site_quat[site] = turned
-            model.site_sameframe[site] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
+            model.site_sameframe[site] = mjtSameFrame.mjSAMEFRAME_NONE
 
 
 def _check_in_image(scene: Scene) -> None:

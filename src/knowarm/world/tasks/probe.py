@@ -5,9 +5,8 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from knowarm.arrays import Floats, Mask
+from knowarm.arrays import Floats, Indices, Mask
 from knowarm.measures import Measure
 from knowarm.world.scene.scene import Scene
 from knowarm.world.tasks.sampling import Episodes
@@ -39,7 +38,7 @@ class PlayedEpisodes(Protocol):
     def success(self) -> Mask:
         """Which episodes were solved, (n,)."""
 
-    def paths(self, rows: NDArray[np.intp]) -> Sequence[Floats]:
+    def paths(self, rows: Indices) -> Sequence[Floats]:
         """Return the joint angles of some episodes by step, (T, J) [rad] each."""
 
 

@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from knowarm.arrays import Floats, Integers, Mask, Names
+from knowarm.arrays import Floats, Indices, Integers, Mask, Names
 from knowarm.errors import UserError
 from knowarm.questions import ObjectColour, number_parts
 from knowarm.world.scene.scene import Scene
@@ -96,7 +96,7 @@ class Episodes:
     def __len__(self) -> int:
         return len(self.objects)
 
-    def __getitem__(self, index: slice | NDArray[np.intp] | Mask) -> Self:
+    def __getitem__(self, index: slice | Indices | Mask) -> Self:
         """Select episodes by a slice or an index array."""
         return type(self)(*[values[index] for values in vars(self).values()])
 

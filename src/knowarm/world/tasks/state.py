@@ -4,9 +4,8 @@ from collections.abc import Callable, Mapping
 from typing import Any, Generic, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from knowarm.arrays import Floats, Integers, Mask, Names
+from knowarm.arrays import Array, Floats, Indices, Integers, Mask, Names
 from knowarm.errors import UserError
 from knowarm.world.backend import MujocoSimulator
 from knowarm.world.scene.scene import Scene, target_places
@@ -20,12 +19,6 @@ def nearest_levels(steps: Floats, count: int = len(ACTION_LEVELS)) -> Integers:
     """Return the first ``count`` levels' nearest one to joint steps (n, J) in units of MPI."""
     return np.abs(steps[..., None] - np.array(ACTION_LEVELS[:count])).argmin(axis=-1)
 
-
-Indices = NDArray[np.intp]
-"""Numbers of some environments, (k,)."""
-
-Array = NDArray[Any]
-"""An array of any type."""
 
 NamedArrays = dict[str, Array]
 """Arrays by name, with a first axis for environments or episodes."""

@@ -12,14 +12,13 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 from PIL import Image, ImageDraw, ImageFont
 
-from knowarm.arrays import Floats
+from knowarm.arrays import Floats, Images
 from knowarm.errors import UserError
 from knowarm.pictures import animation, check_suffix, data_uri
 from knowarm.reading import replacing
 from knowarm.svg import style_sheet
 from knowarm.world.agents.play import play_steps
 from knowarm.world.agents.protocol import AgentProtocol
-from knowarm.world.envs.base import Images
 from knowarm.world.envs.vector_env import RENDER_SIZE, ArmVectorEnv
 from knowarm.world.scene.scene import project
 from knowarm.world.tasks.sampling import Episodes

@@ -4,9 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from knowarm.arrays import Floats32
 from knowarm.errors import UserError, packages_of
 from knowarm.reading import replacing
 from knowarm.world.viewing.record import FRAMES_PER_S, Frame
@@ -25,7 +23,7 @@ def write_rrd(
     path: Path,
     episodes: Sequence[Sequence[Frame]],
     joints: Sequence[str],
-    knowledge: Sequence[Mapping[str, NDArray[np.float32]]] = (),
+    knowledge: Sequence[Mapping[str, Floats32]] = (),
 ) -> None:
     """Write images, joint angles, goal, distance and angle of every step.
 

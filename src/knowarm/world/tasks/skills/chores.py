@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from knowarm.arrays import Floats, Integers, Mask
+from knowarm.arrays import Floats, Images, Integers, Mask
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.world.tasks.skills.guides import Guide
 from knowarm.world.tasks.state import NamedArrays
@@ -60,7 +59,7 @@ class Chores:
     spots: Floats
     guide: Guide
 
-    def seen(self, images: NDArray[np.uint8]) -> Integers:
+    def seen(self, images: Images) -> Integers:
         """Return the number of the place of each mark that is told, (n, K), by the images."""
         raise NotImplementedError
 

@@ -5,6 +5,7 @@ from typing import Any, Self
 
 import numpy as np
 from mujoco import mjtJoint
+from numpy.linalg import norm
 
 from knowarm.arrays import Floats, Mask
 from knowarm.world.backend import MujocoSimulator
@@ -240,7 +241,7 @@ def _pose_error(
     n = len(position)
     turn = matrix.reshape(n, 3, 3) @ tcp_matrix.reshape(n, 3, 3).transpose(0, 2, 1)
     skew = turn[:, [2, 0, 1], [1, 2, 0]] - turn[:, [1, 2, 0], [2, 0, 1]]
-    sine = np.linalg.norm(skew, axis=1, keepdims=True)
+    sine = norm(skew, axis=1, keepdims=True)
     cosine = np.trace(turn, axis1=1, axis2=2)[:, None] - 1.0
     # At half a turn the skew part does not define the axis; any axis makes progress.
     axis = np.where(sine > 1e-9, skew / np.maximum(sine, 1e-9), [1.0, 0.0, 0.0])

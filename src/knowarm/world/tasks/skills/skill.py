@@ -4,22 +4,19 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
-import numpy as np
-from numpy.typing import NDArray
-
-from knowarm.arrays import Floats, Integers, Mask
+from knowarm.arrays import Array, Floats, Floats32, Images, Indices, Integers, Mask
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.world.backend import Dynamics, MujocoSimulator
 from knowarm.world.objects.target import Target
 from knowarm.world.robots.robot import Robot
-from knowarm.world.scene.scene import Floats32, Scene, build_scene, target_places
+from knowarm.world.scene.scene import Scene, build_scene, target_places
 from knowarm.world.tasks.asked.asked import Asking
 from knowarm.world.tasks.base_part import BaseTaskPart
 from knowarm.world.tasks.reward import is_success, paper_reward
 from knowarm.world.tasks.skills.chores import Chores
 from knowarm.world.tasks.skills.guides import Guide, Sight, StraightApproach
 from knowarm.world.tasks.skills.teacher import Teacher
-from knowarm.world.tasks.state import EpisodeState, Frames, Indices, NamedArrays
+from knowarm.world.tasks.state import EpisodeState, Frames, NamedArrays
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,8 +164,8 @@ class Skill(BaseTaskPart):
         self,
         scene: Scene,
         sight: Sight,
-        images: NDArray[np.uint8],
-        facts: Mapping[str, NDArray[Any]],
+        images: Images,
+        facts: Mapping[str, Array],
         graph: KnowledgeGraph | None,
     ) -> Sight:
         """Add what it reads itself from images (n, H, W, 3) to what a network sees of objects.
@@ -182,7 +179,7 @@ class Skill(BaseTaskPart):
         """
         return sight
 
-    def remember(self, state: EpisodeState) -> Mapping[str, NDArray[Any]]:
+    def remember(self, state: EpisodeState) -> Mapping[str, Array]:
         """Return the arrays of ``memory`` after a step, new, with its distance and angle known."""
         return {}
 

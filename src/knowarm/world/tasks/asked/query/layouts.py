@@ -2,6 +2,7 @@
 
 import numpy as np
 from mujoco import MjModel, mjtGeom
+from numpy.linalg import norm
 
 from knowarm.arrays import Floats, Integers, Mask
 from knowarm.questions import object_of
@@ -184,6 +185,6 @@ def _half_width(model: MjModel, geom: int, local: Floats) -> Floats:
             radial = np.sqrt(np.maximum(0.0, 1.0 - axial**2))
             return radius * radial + half_length * axial
         case mjtGeom.mjGEOM_ELLIPSOID:
-            return np.linalg.norm(size * local, axis=1)
+            return norm(size * local, axis=1)
     middle, half = model.geom_aabb[geom].reshape(2, 3)
     return local @ middle + np.abs(local) @ half

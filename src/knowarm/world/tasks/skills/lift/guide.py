@@ -6,13 +6,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from knowarm.arrays import Floats, Mask
+from knowarm.arrays import Floats, Indices, Mask
 from knowarm.world.scene.scene import build_scene
 from knowarm.world.tasks.skills.guides import Guide, Sight, Way
 from knowarm.world.tasks.skills.ik import REACHED_DEG, REACHED_M, InverseKinematics
 from knowarm.world.tasks.skills.lift.model import LiftScene
 from knowarm.world.tasks.skills.lift.simulator import LiftSimulator
-from knowarm.world.tasks.state import Indices
 
 BACK_M = (0.10, 0.075, 0.05, 0.035, 0.02, 0.01)  # Distances of the straight approach
 # Heights above its first pose, of which some may be left out

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 import numpy as np
+from numpy.linalg import norm
 
 from knowarm.arrays import Floats, Integers, Mask
 from knowarm.config import LEAST, check_values, within
@@ -104,7 +105,7 @@ class Lift(Skill):
 
     def areas_to_try(self, robot: Robot) -> Iterator[dict[str, Any]]:
         """Yield the middle of the rectangle, with the objects turned in several directions."""
-        radius = float(np.linalg.norm(robot.rectangle_centre_m))
+        radius = float(norm(robot.rectangle_centre_m))
         area = {
             "centre_m": list(robot.rectangle_centre_m),
             "half_size_m": np.round(
@@ -176,7 +177,7 @@ class Lift(Skill):
         one was moved by 3 cm, lifted or toppled.
         """
         place = state.simulator.place(state.target)
-        moved = np.linalg.norm(place - state.positions[:, 0], axis=1)
+        moved = norm(place - state.positions[:, 0], axis=1)
         is_lost = (moved > LOST_M) | (_rise(state) < -FALLEN_M)
         return (is_lost & ~state.success) | disturbed(state)
 

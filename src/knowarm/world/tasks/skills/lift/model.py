@@ -27,7 +27,7 @@ from mujoco import (
     mju_mat2Quat,
 )
 
-from knowarm.arrays import Floats
+from knowarm.arrays import Floats, Indices
 from knowarm.errors import UserError
 from knowarm.world.batch import MUJOCO
 from knowarm.world.objects.target import Target
@@ -36,7 +36,6 @@ from knowarm.world.scene.compose import ROBOT_BIT, ROBOT_PREFIX, SUPPORT_BIT, co
 from knowarm.world.scene.mjcf import read_mjcf
 from knowarm.world.scene.scene import Fingers, Scene, compiling, describe_model
 from knowarm.world.scene.surface import surface_points
-from knowarm.world.tasks.state import Indices
 
 OBJECT_BIT = 4  # Contact bit of objects, beside those of robot and support
 TIMESTEP_S = 0.004  # From .005 on objects slip

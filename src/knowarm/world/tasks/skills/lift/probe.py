@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
+from numpy.linalg import norm
 
 from knowarm.arrays import Floats, Integers, Mask, Names
 from knowarm.cores import available_cores
@@ -162,7 +163,7 @@ class LiftTrial:
             simulator.step(_beside(arm, fingers))
             yield "approach"
         before = simulator.centre(first)
-        self.moved[:] = np.linalg.norm(before - placed, axis=1)
+        self.moved[:] = norm(before - placed, axis=1)
         for step in range(CLOSE_STEPS):
             fingers = simulator.scene.joint_upper[-1] * (step + 1) / (CLOSE_STEPS - 2)
             simulator.step(_beside(arm, fingers))

@@ -2,13 +2,13 @@
 
 import numpy as np
 from mujoco import MjData, mj_comPos, mj_kinematics, mjtStage
+from numpy.linalg import norm
 from scipy.spatial.transform import Rotation
 
-from knowarm.arrays import Floats, Integers, Mask
+from knowarm.arrays import Floats, Indices, Integers, Mask
 from knowarm.world.backend import MujocoSimulator
 from knowarm.world.scene.compose import CONTROL_PERIOD_S
 from knowarm.world.tasks.skills.lift.model import FINGERS, LiftScene
-from knowarm.world.tasks.state import Indices
 
 # Height from which hidden objects fall, for 4,500 steps, and touch nothing [m]
 
@@ -75,7 +75,7 @@ class LiftSimulator(MujocoSimulator):
         """
         rest = self._rest_centre[targets]
         rest[:, :2] += places
-        return np.linalg.norm(self.centre(targets) - rest, axis=1)
+        return norm(self.centre(targets) - rest, axis=1)
 
     def pose(self, targets: Integers) -> tuple[Floats, Floats]:
         """Return origin (n, 3) [m] and rotation (n, 3, 3) of one target per environment, world."""
@@ -120,9 +120,7 @@ class LiftSimulator(MujocoSimulator):
         """Advance by a control period to joint targets (n, J) [rad]; a grip takes small steps."""
         self._set_servos(slice(None), joint_targets)
         centres = self._centre[:, self._objects.bodies]
-        distance = np.linalg.norm(centres - self.tcp_position[:, None], axis=2).min(
-            axis=1
-        )
+        distance = norm(centres - self.tcp_position[:, None], axis=2).min(axis=1)
         can_grip = (distance < NEAR_M) & self._may_grip(joint_targets)
         self._advance(np.flatnonzero(~can_grip), self._free_substeps)
         self._advance(np.flatnonzero(can_grip), self._substeps)

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.linalg import norm
 
-from knowarm.arrays import Floats, Integers, Mask
+from knowarm.arrays import Array, Floats, Images, Indices, Integers, Mask
 from knowarm.errors import UserError
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.world.backend import Dynamics
@@ -29,7 +29,7 @@ from knowarm.world.tasks.skills.lift.simulator import LiftSimulator
 from knowarm.world.tasks.skills.place.guide import PlaceGuide
 from knowarm.world.tasks.skills.place.tray import HALF_M, add_trays, centres_m
 from knowarm.world.tasks.skills.teacher import Teacher
-from knowarm.world.tasks.state import Indices, NamedArrays
+from knowarm.world.tasks.state import NamedArrays
 
 DOWN_M = 0.02  # Rise below which a released object has been put down
 STILL_M = 0.001  # Largest way of the centre of mass in a step at rest
@@ -146,8 +146,8 @@ class Place(Lift):
         self,
         scene: Scene,
         sight: Sight,
-        images: NDArray[np.uint8],
-        facts: Mapping[str, NDArray[Any]],
+        images: Images,
+        facts: Mapping[str, Array],
         graph: KnowledgeGraph | None,
     ) -> Sight:
         """Know where the tray is."""
@@ -157,7 +157,7 @@ class Place(Lift):
     def remember(self, state: State) -> NamedArrays:
         """Compare with the step before."""
         centre = state.simulator.centre(state.target)
-        moved = np.linalg.norm(centre - state.memory["centre"], axis=1)
+        moved = norm(centre - state.memory["centre"], axis=1)
         rests = state.memory["taken"] & _is_placed(state) & (moved < STILL_M)
         is_up = state.simulator.rise(state.target) >= self.height_m
         return state.memory | {
@@ -181,7 +181,7 @@ class Place(Lift):
         100 on success; otherwise, while both fingers touch the object, 5 - 10 d with d its distance
         from the tray [m]; otherwise the paper's -2 d^2 - a / 70 to the grasp frame.
         """
-        held = HELD_REWARD - 10 * np.linalg.norm(_tray_offset(state), axis=1)
+        held = HELD_REWARD - 10 * norm(_tray_offset(state), axis=1)
         to_grasp = paper_reward(state.distance, state.angle, state.success)
         value = np.where(state.simulator.touched(state.target), held, to_grasp)
         return np.where(state.success, SUCCESS_REWARD, value)
@@ -192,7 +192,7 @@ class Place(Lift):
             "rise": state.simulator.rise(state.target),
             "gripped": state.simulator.touched(state.target),
             "disturbed": disturbed(state),
-            "tray_distance": np.linalg.norm(_tray_offset(state), axis=1),
+            "tray_distance": norm(_tray_offset(state), axis=1),
             "placing": np.array(self.outcomes)[self._outcome(state)],
         }
 
@@ -214,7 +214,7 @@ class Place(Lift):
         is_free = simulator.released(target)
         is_taken = state.memory["taken"]
         rise = simulator.rise(target)
-        way = np.linalg.norm(simulator.place(target) - state.positions[:, 0], axis=1)
+        way = norm(simulator.place(target) - state.positions[:, 0], axis=1)
         has_fallen = rise < -FALLEN_M
         has_fallen |= is_free & (_tilt_deg(simulator, target) > TOPPLED_DEG)
         has_fallen |= ~is_taken & (way > LOST_M)

@@ -3,9 +3,9 @@
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.linalg import norm
 
-from knowarm.arrays import Floats, Integers, Mask
+from knowarm.arrays import Floats, Images, Integers, Mask
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.world.tasks.asked.asked import Asking
 from knowarm.world.tasks.skills.chores import Chores, Tidied, only
@@ -63,7 +63,7 @@ class SortChores(Chores):
         largest_step = float(state.increments.max())
         self.guide = ReturningGuide(scene, largest_step, limit, state.ignore_roll)
 
-    def seen(self, images: NDArray[np.uint8]) -> Integers:
+    def seen(self, images: Images) -> Integers:
         """See `Chores.seen`."""
         scene = self._state.scene
         return trays_by_colour(scene, images, self._centres, self.told["marks"])
@@ -115,7 +115,7 @@ def apart(centres: Floats) -> Floats:
     Away from the nearest other tray, so that the gripper does not touch what stands there.
     """
     offset = centres[:, None] - centres
-    distance = np.linalg.norm(offset, axis=2)
+    distance = norm(offset, axis=2)
     np.fill_diagonal(distance, np.inf)
     rows = np.arange(len(centres))
     nearest = distance.argmin(axis=1)

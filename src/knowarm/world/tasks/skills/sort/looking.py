@@ -1,10 +1,10 @@
 """Looking at trays: which of the places where trays stand shows which colour."""
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.linalg import norm
 from scipy.optimize import linear_sum_assignment
 
-from knowarm.arrays import Floats, Integers
+from knowarm.arrays import Floats, Images, Integers, Names
 from knowarm.world.objects.target import COLOURS
 from knowarm.world.scene.scene import Scene, project
 from knowarm.world.tasks.skills.place.tray import HALF_M, THICK_M
@@ -15,9 +15,9 @@ SHARE = 0.8  # of the tray over which they are spread
 
 def trays_by_colour(
     scene: Scene,
-    images: NDArray[np.uint8],
+    images: Images,
     centres: Floats,
-    colours: NDArray[np.str_],
+    colours: Names,
 ) -> Integers:
     """Find the trays of colours in images by their pixels, without a network.
 
@@ -35,10 +35,10 @@ def trays_by_colour(
     """
     pixels = _pixels(scene, centres, images.shape[1])
     seen = images[:, pixels[..., 1], pixels[..., 0]].astype(float)  # (n, K, points, 3)
-    seen /= np.linalg.norm(seen, axis=3, keepdims=True).clip(min=1.0)
+    seen /= norm(seen, axis=3, keepdims=True).clip(min=1.0)
     names = list(COLOURS)
     directions = np.array(list(COLOURS.values()))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    directions /= norm(directions, axis=1, keepdims=True)
     found = np.zeros(colours.shape, np.int64)
     for episode, of_episode in enumerate(colours):
         numbers = [names.index(name) for name in of_episode]

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.linalg import norm
 
-from knowarm.arrays import Floats, Integers, Mask
+from knowarm.arrays import Array, Floats, Floats32, Images, Indices, Integers, Mask
 from knowarm.errors import UserError
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.knowledge.graph.builder import graph_of
@@ -15,7 +15,7 @@ from knowarm.knowledge.graph.terms import name_key
 from knowarm.measures import Measure
 from knowarm.world.objects.target import COLOURS, Target
 from knowarm.world.robots.robot import Robot
-from knowarm.world.scene.scene import Floats32, Scene
+from knowarm.world.scene.scene import Scene
 from knowarm.world.tasks.asked.asked import Asking
 from knowarm.world.tasks.skills.guides import DESTINATION, Sight
 from knowarm.world.tasks.skills.lift.lift import State, disturbed
@@ -40,7 +40,7 @@ from knowarm.world.tasks.skills.sort.belongings import (
 )
 from knowarm.world.tasks.skills.sort.chores import SortChores
 from knowarm.world.tasks.skills.sort.looking import trays_by_colour
-from knowarm.world.tasks.state import Indices, NamedArrays
+from knowarm.world.tasks.state import NamedArrays
 
 TRAY_COLOURS = ("red", "yellow", "green", "cyan", "blue", "pink")
 """Colours of trays: far apart, so that they are told apart in any light."""
@@ -207,7 +207,7 @@ class Sort(Place):
         if outcome not in (PLACED, WRONG_TRAY):
             return super().result(state, asked, env_id)
         centre = state.simulator.centre(state.target)[env_id, :2]
-        way = np.linalg.norm(_centres(state.scene.robot) - centre, axis=1)
+        way = norm(_centres(state.scene.robot) - centre, axis=1)
         tray = np.argmin(way)
         colour = TRAY_COLOURS[state.memory["tray_colours"][env_id, tray]]
         places = true_belongings(asked, state.facets, self.relation).places
@@ -218,8 +218,8 @@ class Sort(Place):
         self,
         scene: Scene,
         sight: Sight,
-        images: NDArray[np.uint8],
-        facts: Mapping[str, NDArray[Any]],
+        images: Images,
+        facts: Mapping[str, Array],
         graph: KnowledgeGraph | None,
     ) -> Sight:
         """Read the trays' colours; choose that of a place where the object that is seen belongs.
