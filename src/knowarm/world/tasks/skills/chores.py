@@ -1,6 +1,7 @@
 """Chores: what there is to do with all objects of a scene, where a skill does it with one."""
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -30,7 +31,7 @@ class Tidied:
     def is_tidy(self) -> Mask:
         """Whether all of them do in a scene, (n,)."""
         is_out = (self.belongs >= 0) & ~self.in_place
-        return np.asarray(~is_out.any(axis=1))
+        return ~is_out.any(axis=1)
 
     @property
     def wrong_place(self) -> Mask:
@@ -40,10 +41,10 @@ class Tidied:
     @property
     def disturbed(self) -> Mask:
         """Whether an object that should stay has moved, in each scene, (n,)."""
-        return np.asarray((self.moved & (self.belongs < 0)).any(axis=1))
+        return (self.moved & (self.belongs < 0)).any(axis=1)
 
 
-class Chores:
+class Chores(Protocol):
     """n scenes, in which objects belong at places, one at each; see `Skill.chores`.
 
     Attributes:
@@ -61,23 +62,18 @@ class Chores:
 
     def seen(self, images: Images) -> Integers:
         """Return the number of the place of each mark that is told, (n, K), by the images."""
-        raise NotImplementedError
 
     def belongs(self, graph: KnowledgeGraph | None, objects: Integers) -> Mask:
         """Return at which of the places that are told objects belong, (n, m, K)."""
-        raise NotImplementedError
 
     def fits(self) -> Mask:
         """Return in which scenes one object belongs at each place, and others at none, (n,)."""
-        raise NotImplementedError
 
     def judge(self, graph: KnowledgeGraph) -> Tidied:
         """Tell how the scenes stand, by where a graph says that objects belong."""
-        raise NotImplementedError
 
     def instruct(self, scene: int) -> str:
         """Return what is told of a scene in words, as "the red tray is the kitchen"."""
-        raise NotImplementedError
 
 
 def only(belongs: Mask, numbers: Integers) -> Integers:

@@ -74,8 +74,10 @@ class Skill(BaseTaskPart):
         """Yield areas, fields of `Area`, of which a drafted robot gets the one that fits best."""
         return ()
 
-    @staticmethod
-    def build_scene(robot: Robot, targets: Sequence[Target], distractors: int) -> Scene:
+    @classmethod
+    def build_scene(
+        cls, robot: Robot, targets: Sequence[Target], distractors: int
+    ) -> Scene:
         """Build the scene; by default objects have no physics."""
         return build_scene(robot, targets, distractors)
 

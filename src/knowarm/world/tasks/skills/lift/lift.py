@@ -63,6 +63,7 @@ class Lift(Skill):
     targets: ClassVar[tuple[str, ...]] = ("mug", "bottle")
     max_steps = 100
     moves_fingers = True
+    simulator_class: ClassVar[type[LiftSimulator]] = LiftSimulator
     dynamics = ("dynamic",)  # Kinematics have no contacts.
     column_meanings: ClassVar[dict[str, str]] = {
         "rise_m": "rise of the object's centre of mass at the end [m]",
@@ -116,9 +117,9 @@ class Lift(Skill):
         for turned in TURNS:
             yield area | turned
 
-    @staticmethod
+    @classmethod
     def build_scene(
-        robot: Robot, targets: Sequence[Target], distractors: int
+        cls, robot: Robot, targets: Sequence[Target], distractors: int
     ) -> LiftScene:
         """Build a scene with fingers that move and objects that can be pushed and lifted."""
         return build_lift_scene(robot, targets, distractors)
@@ -128,7 +129,7 @@ class Lift(Skill):
     ) -> LiftSimulator:
         """Make the physics of n environments with contacts."""
         assert isinstance(scene, LiftScene)
-        return LiftSimulator(scene, num_envs, num_threads)
+        return self.simulator_class(scene, num_envs, num_threads)
 
     def joint_names(self, robot: Robot) -> tuple[str, ...]:
         """Name the joints of the arm and the fingers, which move together."""

@@ -10,7 +10,6 @@ from numpy.linalg import norm
 from knowarm.arrays import Array, Floats, Images, Indices, Integers, Mask
 from knowarm.errors import UserError
 from knowarm.knowledge import KnowledgeGraph
-from knowarm.world.backend import Dynamics
 from knowarm.world.objects.target import Target
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.scene import Scene
@@ -74,6 +73,7 @@ class Place(Lift):
     """
 
     max_steps = 160
+    simulator_class = PlaceSimulator
     outcomes: ClassVar[tuple[str, ...]] = OUTCOMES
     """How an episode can end."""
     column_meanings: ClassVar[dict[str, str]] = {
@@ -98,25 +98,23 @@ class Place(Lift):
         """Propose none: that of lifting is taken."""
         return iter(())
 
+    @staticmethod
+    def tray_centres(robot: Robot) -> Floats:
+        """Return x and y of the centres of the trays in the scene, (K, 2) [m]."""
+        return centres_m(robot)[:1]
+
     def area_of(self, robot: Robot) -> str:
-        """Check that the robot has a tray."""
-        centres_m(robot)
+        """Check that the robot has enough trays."""
+        self.tray_centres(robot)
         return self.area
 
-    @staticmethod
+    @classmethod
     def build_scene(
-        robot: Robot, targets: Sequence[Target], distractors: int
+        cls, robot: Robot, targets: Sequence[Target], distractors: int
     ) -> LiftScene:
-        """Build the scene of lifting with a tray."""
-        furnish = add_trays(robot, centres_m(robot)[:1])
+        """Build the scene of lifting with trays."""
+        furnish = add_trays(robot, cls.tray_centres(robot))
         return build_lift_scene(robot, targets, distractors, furnish=furnish)
-
-    def simulator(
-        self, scene: Scene, num_envs: int, num_threads: int, dynamics: Dynamics
-    ) -> PlaceSimulator:
-        """Make the physics of n environments with contacts."""
-        assert isinstance(scene, LiftScene)
-        return PlaceSimulator(scene, num_envs, num_threads)
 
     def teacher(self, state: State) -> Teacher:  # type: ignore[override]
         """Refuse: what to do does not follow from the state alone."""
@@ -158,7 +156,8 @@ class Place(Lift):
         """Compare with the step before."""
         centre = state.simulator.centre(state.target)
         moved = norm(centre - state.memory["centre"], axis=1)
-        rests = state.memory["taken"] & _is_placed(state) & (moved < STILL_M)
+        is_placed = stands(state.simulator, state.target) & _is_over_tray(state)
+        rests = state.memory["taken"] & is_placed & (moved < STILL_M)
         is_up = state.simulator.rise(state.target) >= self.height_m
         return state.memory | {
             "taken": state.memory["taken"] | is_up,
@@ -243,11 +242,6 @@ def _tilt_deg(simulator: LiftSimulator, objects: Integers) -> Floats:
     """Return the angle between the vertical of objects (n,) and the world's, (n,) [deg]."""
     _, turn = simulator.pose(objects)
     return np.degrees(np.arccos(turn[:, 2, 2].clip(-1.0, 1.0)))
-
-
-def _is_placed(state: State) -> Mask:
-    """Return whether the object stands on the tray, (n,)."""
-    return stands(state.simulator, state.target) & _is_over_tray(state)
 
 
 def stands(simulator: LiftSimulator, objects: Integers) -> Mask:

@@ -29,21 +29,23 @@ class Belongings(NamedTuple):
     """Whether an object belongs at a place, (objects, P)."""
 
     def of(self, objects: Integers, places: Names) -> Mask:
-        """Return whether objects (n,) belong at places (n, K) by name, (n, K) bool."""
-        is_place = places[..., None] == self.places
-        return (is_place & self.belongs[objects][:, None]).any(axis=2)
+        """Return whether objects (n, m) belong at places (n, K) by name, (n, m, K) bool."""
+        is_place = places[:, None, :, None] == self.places
+        return (is_place & self.belongs[objects][:, :, None]).any(axis=3)
 
 
-def belongings(graph: KnowledgeGraph, facets: Facets, relation: str) -> Belongings:
+def belongings(
+    graph: KnowledgeGraph | None, facets: Facets, relation: str
+) -> Belongings:
     """Return where a graph says that the objects of facets belong.
 
-    Those that it does not describe belong nowhere.
+    Those that it does not describe belong nowhere, as all do without a graph.
     """
     objects = tuple(dict.fromkeys(name for name, _ in facets))
-    described = list(meant(graph, objects, {}))
     places: list[str] = []
     belongs = np.zeros((len(objects), 0), bool)
-    if described:
+    described = [] if graph is None else list(meant(graph, objects, {}))
+    if graph is not None and described:
         # Where an object belongs does not depend on its colour.
         asked = QueryGraph(graph, [(name, "") for name in described])
         stated = [part for part in asked.conditions if part.relation == relation]

@@ -1,6 +1,6 @@
 """Chores of sorting: bring an object to each of the trays where one belongs."""
 
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.linalg import norm
@@ -12,30 +12,14 @@ from knowarm.world.tasks.skills.chores import Chores, Tidied, only
 from knowarm.world.tasks.skills.lift.lift import State
 from knowarm.world.tasks.skills.lift.model import LiftScene
 from knowarm.world.tasks.skills.place.guide import ReturningGuide
-from knowarm.world.tasks.skills.place.tray import centres_m
 from knowarm.world.tasks.skills.sort.belongings import belongings, true_belongings
 from knowarm.world.tasks.skills.sort.looking import trays_by_colour
-from knowarm.world.tasks.state import NamedArrays
+
+if TYPE_CHECKING:
+    from knowarm.world.tasks.skills.sort.sort import Sort
 
 APART_M = 0.025
 MOVED_M = 0.03  # Way after which an object that should stay counts as moved
-
-
-class Sorting(Protocol):
-    """What chores ask of the skill; see `Sort`."""
-
-    @property
-    def relation(self) -> str:
-        """Relation that says where objects belong."""
-
-    def facts(self, state: State, asked: Asking) -> NamedArrays:
-        """Return which tray is which place."""
-
-    def instruct(self, state: State, asked: Asking, env_id: int) -> str:
-        """Return the same in words."""
-
-    def trays(self, state: State, objects: Integers) -> Integers:
-        """Return on which tray objects (n,) stand, or -1, (n,)."""
 
 
 class SortChores(Chores):
@@ -47,14 +31,14 @@ class SortChores(Chores):
         asked: what is asked, by whose graph the trays of places were drawn.
     """
 
-    def __init__(self, skill: Sorting, state: State, asked: Asking) -> None:
+    def __init__(self, skill: "Sort", state: State, asked: Asking) -> None:
         scene = state.scene
         assert isinstance(scene, LiftScene)
         self._skill = skill
         self._state = state
         self._asked = asked
         self._start = state.positions
-        self._centres = centres_m(scene.robot, least=2)
+        self._centres = skill.tray_centres(scene.robot)
         facts = skill.facts(state, asked)
         self.relation = skill.relation
         self.told = {"places": facts["tray_places"], "marks": facts["tray_colours"]}
@@ -70,21 +54,16 @@ class SortChores(Chores):
 
     def belongs(self, graph: KnowledgeGraph | None, objects: Integers) -> Mask:
         """See `Chores.belongs`."""
-        places = self.told["places"]
-        if graph is None:
-            return np.zeros((*objects.shape, places.shape[1]), bool)
         facets = tuple((target.name, "") for target in self._state.scene.targets)
         known = belongings(graph, facets, self.relation)
-        return np.stack([known.of(some, places) for some in objects.T], axis=1)
+        return known.of(objects, self.told["places"])
 
     def fits(self) -> Mask:
         """See `Chores.fits`."""
         known = true_belongings(self._asked, self._state.facets, self.relation)
-        places = self.told["places"]
-        objects = self._state.objects.T
-        belongs = np.stack([known.of(some, places) for some in objects], axis=1)
+        belongs = known.of(self._state.objects, self.told["places"])
         is_one_each = (belongs.sum(axis=1) == 1).all(axis=1)
-        return np.asarray(is_one_each & (belongs.sum(axis=2) <= 1).all(axis=1))
+        return is_one_each & (belongs.sum(axis=2) <= 1).all(axis=1)
 
     def judge(self, graph: KnowledgeGraph) -> Tidied:
         """See `Chores.judge`."""

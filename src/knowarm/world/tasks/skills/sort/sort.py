@@ -1,11 +1,10 @@
 """Sorting: put the object that is meant on the tray of the place where it belongs by a graph."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
-from numpy.linalg import norm
 
 from knowarm.arrays import Array, Floats, Floats32, Images, Indices, Integers, Mask
 from knowarm.errors import UserError
@@ -13,13 +12,12 @@ from knowarm.knowledge import KnowledgeGraph
 from knowarm.knowledge.graph.builder import graph_of
 from knowarm.knowledge.graph.terms import name_key
 from knowarm.measures import Measure
-from knowarm.world.objects.target import COLOURS, Target
+from knowarm.world.objects.target import COLOURS
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.scene import Scene
 from knowarm.world.tasks.asked.asked import Asking
 from knowarm.world.tasks.skills.guides import DESTINATION, Sight
 from knowarm.world.tasks.skills.lift.lift import State, disturbed
-from knowarm.world.tasks.skills.lift.model import LiftScene, build_lift_scene
 from knowarm.world.tasks.skills.place.place import (
     BESIDE,
     OUTCOMES,
@@ -29,7 +27,6 @@ from knowarm.world.tasks.skills.place.place import (
 )
 from knowarm.world.tasks.skills.place.tray import (
     HALF_M,
-    add_trays,
     centres_m,
     tray_name,
 )
@@ -100,18 +97,10 @@ class Sort(Place):
         """Number of draws per episode: for places, order of the trays, colours, destination."""
         return int(ENDS_OF_DRAWS[-1]) + self.is_named
 
-    def area_of(self, robot: Robot) -> str:
-        """Check that the robot has trays."""
-        centres_m(robot, least=2)
-        return self.area
-
     @staticmethod
-    def build_scene(
-        robot: Robot, targets: Sequence[Target], distractors: int
-    ) -> LiftScene:
-        """Build the scene of lifting with all trays."""
-        furnish = add_trays(robot, _centres(robot))
-        return build_lift_scene(robot, targets, distractors, furnish=furnish)
+    def tray_centres(robot: Robot) -> Floats:
+        """Return x and y of the centres of all trays, (K, 2) [m]."""
+        return centres_m(robot, least=2)[:MAX_TRAYS]
 
     def memory(self, num_envs: int) -> NamedArrays:
         """Remember also the place and colour of each tray, by number, -1 where there is none."""
@@ -123,7 +112,7 @@ class Sort(Place):
     ) -> NamedArrays:
         """Draw which tray has which colour and stands for which place, and the destination."""
         known = true_belongings(asked, state.facets, self.relation)
-        centres = _centres(state.scene.robot)
+        centres = self.tray_centres(state.scene.robot)
         count = len(centres)
         of_places, of_order, of_colours, of_destination = np.split(
             surroundings, ENDS_OF_DRAWS, axis=1
@@ -145,7 +134,7 @@ class Sort(Place):
     def paint(self, state: State, ids: Indices, rgba: Floats32) -> None:
         """Paint the trays."""
         colours = state.memory["tray_colours"][ids]
-        for number in range(len(_centres(state.scene.robot))):
+        for number in range(len(self.tray_centres(state.scene.robot))):
             geom = state.scene.model.geom(tray_name(number)).id
             rgba[:, geom, :3] = TRAY_RGB[colours[:, number]]
 
@@ -155,7 +144,7 @@ class Sort(Place):
         They are in the order of the places' names, which says nothing of where trays stand. Where
         questions name a destination, ``destination`` is that name, (n,).
         """
-        count = len(_centres(state.scene.robot))
+        count = len(self.tray_centres(state.scene.robot))
         places = state.memory["tray_places"][:, :count]
         colours = state.memory["tray_colours"][:, :count]
         order = np.argsort(places, axis=1)
@@ -165,7 +154,7 @@ class Sort(Place):
             "tray_colours": NAMES[np.take_along_axis(colours, order, axis=1)],
         }
         if self.is_named:
-            centres = _centres(state.scene.robot)
+            centres = self.tray_centres(state.scene.robot)
             is_right = (centres == state.memory[DESTINATION][:, None]).all(axis=2)
             names = {"place": known.places[places], "colour": NAMES[colours]}
             told[DESTINATION] = names[self.destination][is_right]
@@ -206,9 +195,8 @@ class Sort(Place):
         outcome = self._outcome(state)[env_id]
         if outcome not in (PLACED, WRONG_TRAY):
             return super().result(state, asked, env_id)
-        centre = state.simulator.centre(state.target)[env_id, :2]
-        way = norm(_centres(state.scene.robot) - centre, axis=1)
-        tray = np.argmin(way)
+        trays, _ = self._trays_below(state, state.target)
+        tray = trays[env_id]
         colour = TRAY_COLOURS[state.memory["tray_colours"][env_id, tray]]
         places = true_belongings(asked, state.facets, self.relation).places
         place = places[state.memory["tray_places"][env_id, tray]].replace("_", " ")
@@ -228,20 +216,19 @@ class Sort(Place):
         first of these trays in the robot's order. A destination that is told counts instead.
         """
         places = facts["tray_places"]
-        centres = _centres(scene.robot)
-        belongs = np.zeros(places.shape, bool)
+        centres = self.tray_centres(scene.robot)
         if DESTINATION in facts:
             name = facts[DESTINATION][:, None]
             belongs = (places == name) | (facts["tray_colours"] == name)
-        elif graph is not None:
+        else:
             facets = tuple((target.name, "") for target in scene.targets)
             known = belongings(graph, facets, self.relation)
-            belongs = known.of(sight.objects[:, 0], places)
+            belongs = known.of(sight.objects[:, :1], places)[:, 0]
         trays = trays_by_colour(scene, images, centres, facts["tray_colours"])
         is_right = np.zeros_like(belongs)
         np.put_along_axis(is_right, trays, belongs, axis=1)
         destination = centres[np.argmax(is_right, axis=1)]
-        is_told = np.asarray(belongs.any(axis=1))
+        is_told = belongs.any(axis=1)
         return sight._replace(destination=destination, decided=is_told)
 
     def chores(self, state: State, asked: Asking) -> SortChores:
@@ -254,15 +241,19 @@ class Sort(Place):
         names = true_belongings(asked, state.facets, self.relation).places
         places = names[state.memory["tray_places"]]  # (n, MAX_TRAYS)
         tray = self.trays(state, state.target)
-        belongs = known.of(state.target, places)[np.arange(len(tray)), tray]
+        belongs = known.of(state.objects[:, :1], places)[np.arange(len(tray)), 0, tray]
         return belongs & (tray >= 0) & ~disturbed(state)
 
     def trays(self, state: State, objects: Integers) -> Integers:
         """Return on which tray objects (n,) stand upright, let go: its number, or -1, (n,)."""
+        number, is_over = self._trays_below(state, objects)
+        return np.where(stands(state.simulator, objects) & is_over, number, -1)
+
+    def _trays_below(self, state: State, objects: Integers) -> tuple[Integers, Mask]:
+        """Return the tray nearest to objects (n,), (n,), and whether they are above it, (n,)."""
         centre = state.simulator.centre(objects)[:, None, :2]
-        way = np.abs(centre - _centres(state.scene.robot)).max(axis=2)
-        is_on = stands(state.simulator, objects) & (way.min(axis=1) < HALF_M)
-        return np.where(is_on, way.argmin(axis=1), -1)
+        way = np.abs(centre - self.tray_centres(state.scene.robot)).max(axis=2)
+        return way.argmin(axis=1), way.min(axis=1) < HALF_M
 
     def columns(self, setting: Any, infos: NamedArrays) -> NamedArrays:
         """Store also whether the object was put on a tray, and on the right one."""
@@ -276,10 +267,8 @@ class Sort(Place):
     def _outcome(self, state: State) -> Integers:
         """Return how episodes stand; what is put down on another tray is on a wrong one."""
         outcome = super()._outcome(state)
-        centre = state.simulator.centre(state.target)[:, None, :2]
-        way = np.abs(centre - _centres(state.scene.robot)).max(axis=2)
-        is_on_tray = (way < HALF_M).any(axis=1)
-        outcome[(outcome == BESIDE) & is_on_tray] = WRONG_TRAY
+        _, is_over = self._trays_below(state, state.target)
+        outcome[(outcome == BESIDE) & is_over] = WRONG_TRAY
         return outcome
 
 
@@ -312,11 +301,6 @@ def _draw_places(known: Belongings, objects: Integers, draws: Floats) -> Integer
             allowed = allowed.copy()
             allowed[np.arange(len(place)), place] = False
     return np.stack(chosen, axis=1)
-
-
-def _centres(robot: Robot) -> Floats:
-    """Return x and y of the trays' centres, (K, 2) [m]."""
-    return centres_m(robot, least=2)[:MAX_TRAYS]
 
 
 def _padded(numbers: Integers) -> Integers:
