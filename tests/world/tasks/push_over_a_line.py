@@ -33,7 +33,7 @@ class PushGuide(LiftGuide):
         shifts = np.zeros((POSES, len(grasp), 3))
         shifts[:, :, 1] = np.linspace(0, 1, POSES + 1)[1:, None] * way
         points = self._follower.solve_way(position, matrix, grasp, shifts)
-        return [self._moving(points.transpose(1, 0, 2), self._closed_m)]
+        return [self._moving(points, self._closed_m)]
 
 
 @dataclass(frozen=True, kw_only=True)

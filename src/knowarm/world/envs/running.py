@@ -28,6 +28,7 @@ from knowarm.world.tasks.state import (
     EpisodeState,
     Frames,
     NamedArrays,
+    places_of_all,
     returned,
     returned_rows,
 )
@@ -133,16 +134,6 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
         self.change_episodes: ChangeEpisodes | None = None
         self._all = np.arange(n)
         self.start_next(self._all)
-
-    @property
-    def threshold_factor(self) -> float:
-        """Factor of both thresholds, 1 unless training starts with larger ones; it can be set."""
-        return self._threshold_factor
-
-    @threshold_factor.setter
-    def threshold_factor(self, factor: float) -> None:
-        self._threshold_factor = factor
-        self.thresholds = self.limits * factor
 
     @property
     def knowledge_input(self) -> Integers:
@@ -293,12 +284,9 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
         )
         self._begin(ids, episodes.surroundings)
         distractors = self._refresh(ids)
-        objects = episodes.objects[..., None]
-        targets = np.arange(len(scene.targets))
-        visible = (objects == targets).any(axis=1)
-        # Hidden objects are where the first one is.
-        places = np.repeat(episodes.positions[:, :1], len(targets), axis=1)
-        np.put_along_axis(places, objects, episodes.positions, axis=1)
+        places, visible = places_of_all(
+            episodes.objects, episodes.positions, len(scene.targets)
+        )
         self.simulator.reset(ids, joints, places, distractors, visible)
         self._measure()
         self._judge()

@@ -26,6 +26,9 @@ NamedArrays = dict[str, Array]
 Frames = tuple[Floats, Floats]
 """Positions, (k, 3) [m], and rotations from frame to world, row-major, (k, 9)."""
 
+Placed = tuple[Floats, Mask]
+"""x and y of objects, (n, m, 2) [m], and a mask of them or of the n scenes."""
+
 BOOL = "b"
 """Kind of the values of a mask, as NumPy calls it."""
 
@@ -67,6 +70,22 @@ def returned_rows(
     return rows
 
 
+def places_of_all(objects: Integers, positions: Floats, count: int) -> Placed:
+    """Return x and y of all K targets, (n, K, 2) [m], and which are visible, (n, K).
+
+    Hidden ones are where the first visible one is.
+
+    Args:
+        objects: indices of the visible ones, (n, m).
+        positions: their x and y, (n, m, 2) [m].
+        count: K.
+    """
+    indices = objects[..., None]
+    places = np.repeat(positions[:, :1], count, axis=1)
+    np.put_along_axis(places, indices, positions, axis=1)
+    return places, (indices == np.arange(count)).any(axis=1)
+
+
 SimulatorT = TypeVar("SimulatorT", bound=MujocoSimulator)
 """Class of a task's simulator."""
 
@@ -87,7 +106,8 @@ class EpisodeState(Generic[SimulatorT]):
     query_names: Names
     ignore_roll: bool  #: Whether angles ignore the rotation about the approach axis
     limits: Floats  #: Thresholds of distance and angle in the config, (2,) [m, deg]
-    thresholds: Floats  #: The same times the curriculum's factor, (2,) [m, deg]
+    #: Factor of both thresholds, 1 unless training starts with larger ones
+    threshold_factor: float
     #: Joint increment of each action level [rad] (slides: [m]), (7,)
     increments: Floats
     steps: Integers  #: Steps played in the current episode, (n,)
@@ -109,6 +129,11 @@ class EpisodeState(Generic[SimulatorT]):
     grasp_rotation: Floats
     #: Number in ``facets`` of each target in its first colour, (K,)
     first_facet: Integers
+
+    @property
+    def thresholds(self) -> Floats:
+        """The limits times the curriculum's factor, (2,) [m, deg]."""
+        return self.limits * self.threshold_factor
 
     @property
     def target(self) -> Integers:

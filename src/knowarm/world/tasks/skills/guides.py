@@ -167,5 +167,5 @@ class StraightApproach(Guide):
         shifts = distances[:, None, None] * back
         solver = self._make_solver(starts=1)
         way = solver.solve_way(sight.position, sight.matrix, goal, shifts)
-        points = np.concatenate([way[::-1], goal[None]])
-        return Way(points.transpose(1, 0, 2), self._largest)
+        points = np.concatenate([way[:, ::-1], goal[:, None]], axis=1)
+        return Way(points, self._largest)

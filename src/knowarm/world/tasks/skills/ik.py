@@ -118,12 +118,12 @@ class InverseKinematics:
     def solve_way(
         self, position: Floats, matrix: Floats, start: Floats, shifts: Floats
     ) -> Floats:
-        """Solve for poses moved by each of W shifts, from the solution before, (W, n, J) [rad]."""
+        """Solve for poses moved by each of W shifts, from the solution before, (n, W, J) [rad]."""
         way = []
         for shift in shifts:
             start = self.solve(position + shift, matrix, start, attempts=1).joints
             way.append(start)
-        return np.stack(way)
+        return np.stack(way, axis=1)
 
     def pose(self, joints: Floats) -> Frames:
         """Compute positions (n, 3) [m] and row-major rotations (n, 9) at joint angles (n, J)."""

@@ -118,9 +118,6 @@ class Teacher:
         self._state = state
         self._largest = state.increments[1]
 
-    def restart(self) -> None:
-        """Do nothing: the actions follow from the state alone."""
-
     def error(self) -> Floats:
         """Return the way from joint targets to solution in units of the largest step, (n, J)."""
         state = self._state

@@ -7,6 +7,7 @@ from numpy.linalg import norm
 from knowarm.arrays import Floats, Integers, Mask
 from knowarm.questions import object_of
 from knowarm.world.scene.scene import Scene
+from knowarm.world.tasks.state import Placed
 
 TRIES = 16
 """Positions drawn per object, of which the first that fits is used."""
@@ -29,10 +30,6 @@ to one of them are apart."""
 def draws(objects: int) -> int:
     """Return the number of draws that a layout of m objects takes."""
     return ATTEMPTS * objects * TRIES * 2
-
-
-Placed = tuple[Floats, Mask]
-"""Positions of m objects, (n, m, 2) [m], and whether all of them fit, (n,)."""
 
 
 class LayoutSource:

@@ -12,6 +12,7 @@ from knowarm.world.tasks.skills.guides import Guide, Sight, Way
 from knowarm.world.tasks.skills.ik import REACHED_DEG, REACHED_M, InverseKinematics
 from knowarm.world.tasks.skills.lift.model import LiftScene
 from knowarm.world.tasks.skills.lift.simulator import LiftSimulator
+from knowarm.world.tasks.state import places_of_all
 
 BACK_M = (0.10, 0.075, 0.05, 0.035, 0.02, 0.01)  # Distances of the straight approach
 # Heights above its first pose, of which some may be left out
@@ -178,7 +179,7 @@ class LiftGuide(Guide):
         position, matrix = self._follower.pose(grasp)
         shifts = np.outer(RISE_M, [0.0, 0.0, 1.0])
         rise = self._follower.solve_way(position, matrix, grasp, shifts)
-        return [self._moving(rise.transpose(1, 0, 2), self._closed_m)]
+        return [self._moving(rise, self._closed_m)]
 
     def _standing(self, joints: Floats, fingers: float, pause: int) -> Leg:
         """Return the leg of an arm that stands at joint angles (n, A) while fingers move."""
@@ -197,9 +198,7 @@ class LiftGuide(Guide):
             if not len(ids):
                 return
             grasps = [self._grasp(turn, sight, ids) for turn in turns]
-            cost = np.stack([cost for _, _, cost in grasps])
-            joints = np.stack([joints for joints, _, _ in grasps])
-            matrices = np.stack([matrix for _, matrix, _ in grasps])
+            joints, matrices, cost = map(np.stack, zip(*grasps, strict=True))
             for ranked in np.argsort(cost, axis=0, kind="stable"):
                 columns = np.flatnonzero(~self.is_free[ids])
                 if not len(columns):
@@ -237,7 +236,7 @@ class LiftGuide(Guide):
         way = self._follower.solve_way(
             sight.position[ids], matrix, joints, np.stack(shifts)
         )
-        poses = np.concatenate([way[::-1], joints[None]]).transpose(1, 0, 2)
+        poses = np.concatenate([way[:, ::-1], joints[:, None]], axis=1)
         straight = poses[:, len(OVER_M) :]
         jumps = np.abs(np.diff(straight, axis=1)).max(axis=(1, 2))
         turns_over = jumps > MOST_STEPS * self._largest
@@ -268,16 +267,12 @@ class Surroundings:
 
     def __init__(self, scene: LiftScene, sight: Sight) -> None:
         n = len(sight.objects)
-        count = len(scene.targets)
         simulator = LiftSimulator(scene, n)
         margin = simulator.batch.expand("geom_margin").reshape(n, -1)
         is_object = scene.geom_target >= 0
         margin[is_object & (scene.geom_target != sight.objects[:, :1])] = CLEARANCE_M
         contacts = simulator.batch.bind("ncon").reshape(n)
-        places = np.repeat(sight.places[:, :1], count, axis=1)
-        objects = sight.objects[..., None]
-        np.put_along_axis(places, objects, sight.places, axis=1)
-        visible = (objects == np.arange(count)).any(axis=1)
+        places, visible = places_of_all(sight.objects, sight.places, len(scene.targets))
         home = np.tile(scene.home, (n, 1))
         simulator.reset(np.arange(n), home, places, None, visible)
         simulator.set_joints(home)

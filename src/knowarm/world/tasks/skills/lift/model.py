@@ -35,7 +35,7 @@ from knowarm.world.robots.robot import FINGERS_JOINT, Robot
 from knowarm.world.scene.compose import ROBOT_BIT, ROBOT_PREFIX, SUPPORT_BIT, compose
 from knowarm.world.scene.mjcf import read_mjcf
 from knowarm.world.scene.scene import Fingers, Scene, compiling, describe_model
-from knowarm.world.scene.surface import surface_points
+from knowarm.world.scene.surface import solid_geoms, surface_points
 
 OBJECT_BIT = 4  # Contact bit of objects, beside those of robot and support
 TIMESTEP_S = 0.004  # From .005 on objects slip
@@ -151,15 +151,10 @@ def _add_pads(spec: MjSpec, data: MjData, robot: Robot) -> None:
         if body is None:
             continue
         number = model.body(body.name).id
-        geoms = np.flatnonzero(model.geom_bodyid == number)
-        if not len(geoms):
+        geoms = solid_geoms(model, [number])
+        if not geoms:
             continue
-        solid = geoms[model.geom_contype[geoms] != 0]
-        if len(solid):
-            geoms = solid
-        surfaces = np.concatenate(
-            [surface_points(data, geom) for geom in geoms.tolist()]
-        )
+        surfaces = np.concatenate([surface_points(data, geom) for geom in geoms])
         points = (surfaces - origin) @ frame
         near = points[points[:, 2] > -PAD_M]
         if len(near):

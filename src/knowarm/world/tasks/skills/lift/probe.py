@@ -104,9 +104,9 @@ def plan_lifts(scene: Scene, joints: Floats) -> Floats:
     """
     solver = InverseKinematics(scene, starts=1)
     position, matrix = solver.pose(joints)
-    shifts = np.zeros((WAYPOINTS, 3))
-    shifts[:, 2] = np.linspace(0.0, LIFT_M, WAYPOINTS + 1)[1:]
-    return solver.solve_way(position, matrix, joints, shifts).swapaxes(0, 1)
+    heights = np.linspace(0.0, LIFT_M, WAYPOINTS + 1)[1:]
+    shifts = np.outer(heights, [0.0, 0.0, 1.0])
+    return solver.solve_way(position, matrix, joints, shifts)
 
 
 def build_trial_scene(robot: Robot, targets: Sequence[Target]) -> LiftScene:

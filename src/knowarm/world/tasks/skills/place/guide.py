@@ -87,10 +87,7 @@ class PlaceGuide(LiftGuide):
         assert sight.destination is not None
         above = np.full(len(grasp), THICK_M + RELEASE_M)
         tray = np.column_stack([sight.destination, above])
-        joints = []
-        positions = []
-        matrices = []
-        costs = []
+        ways = []
         for degrees in TURNS_DEG:
             turn = rotation(2, degrees)
             goal = tray + offset @ turn.T
@@ -98,20 +95,17 @@ class PlaceGuide(LiftGuide):
             solution = self._solver.solve(goal, turned, grasp, attempts=1)
             steps = np.abs(solution.joints - grasp).max(axis=1) / self._largest
             is_reached = solution.within(REACHED_M, REACHED_DEG)
-            joints.append(solution.joints)
-            positions.append(goal)
-            matrices.append(turned)
-            costs.append(np.where(is_reached, steps, UNREACHED))
-        frames = (np.stack(positions), np.stack(matrices))
-        return np.stack(joints), frames, np.stack(costs)
+            cost = np.where(is_reached, steps, UNREACHED)
+            ways.append((solution.joints, goal, turned, cost))
+        joints, positions, matrices, costs = map(np.stack, zip(*ways, strict=True))
+        return joints, (positions, matrices), costs
 
     def _vertical(
         self, position: Floats, matrix: Floats, joints: Floats, heights: Floats
     ) -> Floats:
         """Solve for heights above a pose (k,), one after the other, (k, W, A)."""
         shifts = np.outer(heights, UP)
-        way = self._follower.solve_way(position, matrix, joints, shifts)
-        return way.transpose(1, 0, 2)
+        return self._follower.solve_way(position, matrix, joints, shifts)
 
     def _legs(self, rise: Floats, lower: Floats) -> list[Leg]:
         """Return the legs from rising (n, W, A) to lowering (n, V, A), letting go and leaving."""
@@ -129,7 +123,7 @@ class PlaceGuide(LiftGuide):
             self._moving(self._path(rise[:, -1], lower[:, :1]), closed),
             Leg(lower, np.full(n, closed), careful, SETTLE_STEPS),
             self._standing(released, 0.0, GRIP_STEPS),
-            self._moving(leave.transpose(1, 0, 2), 0.0),
+            self._moving(leave, 0.0),
         ]
 
 
