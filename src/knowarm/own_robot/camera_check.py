@@ -194,7 +194,7 @@ def _intervals(cameras: Sequence[Camera]) -> Floats:
     """Return lower and upper ends of the numbers of cameras fitted to redrawn clicks, (2, 6)."""
     values = [camera.numbers for camera in cameras]
     shares = [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2]
-    return np.asarray(np.quantile(values, shares, axis=0))
+    return np.quantile(values, shares, axis=0)
 
 
 def _describe(camera: Camera, cameras: Sequence[Camera]) -> str:

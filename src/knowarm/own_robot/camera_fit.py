@@ -59,7 +59,7 @@ class Camera:
         local = (places - self.position) @ self.axes * TO_OPENCV
         pose = np.zeros((2, 3))
         points, _ = _cv2().projectPoints(local, *pose, self.matrix, self.lens)
-        return np.asarray(points[:, 0])
+        return points[:, 0]
 
     def fovy_deg(self, side: float = 1.0) -> float:
         """Return the field of view of a square in the image's middle, by default its height."""

@@ -11,6 +11,7 @@ from numpy.linalg import norm
 
 from knowarm.arrays import Floats, Integers
 from knowarm.errors import unknown_name
+from knowarm.world.scene.surface import geoms_of
 
 GRIPPER_WORDS = re.compile(r"grip|finger|jaw|knuckle|driver|claw|thumb", re.IGNORECASE)
 """Joints with these words in their name open the gripper."""
@@ -244,11 +245,6 @@ def joints_of(model: MjModel, bodies: Sequence[int]) -> Ids:
     return np.flatnonzero(np.isin(model.jnt_bodyid, bodies)).tolist()
 
 
-def geoms_of(model: MjModel, bodies: Sequence[int]) -> Integers:
-    """Return the ids of the geoms of bodies."""
-    return np.flatnonzero(np.isin(model.geom_bodyid, bodies))
-
-
 def tool_sites(model: MjModel, bodies: Sequence[int]) -> Ids:
     """Return the sites of bodies that are named as a tool centre point, best first."""
     texts = {}
@@ -281,7 +277,7 @@ def box_corners(data: MjData, geoms: Sequence[int] | Integers) -> Floats:
     to_local = data.geom_xmat[geoms].reshape(-1, 3, 3).swapaxes(1, 2)
     corners = (middle + signs * half) @ to_local
     corners += data.geom_xpos[geoms, None]
-    return np.asarray(corners)
+    return corners
 
 
 def extent(data: MjData, geoms: Integers, direction: Floats) -> float:

@@ -19,7 +19,6 @@ from knowarm.own_robot.draft_chain import (
     find_chain,
     fixed_to,
     follow_joints,
-    geoms_of,
     is_slide,
     joint_name,
     joint_names,
@@ -34,10 +33,10 @@ from knowarm.own_robot.opening import (
     SAME_M,
     Motion,
     Opening,
-    solid_geoms,
     widest_opening,
 )
 from knowarm.own_robot.poses import Fields
+from knowarm.world.scene.surface import geoms_of, solid_geoms
 
 AGREEING_COSINE = 0.7
 """From this cosine on a site's z axis counts as the approach direction."""
@@ -207,7 +206,7 @@ def _rigid_groups(data: MjData, moving: Ids) -> list[Ids]:
     """Return the geoms of what moves, together where no joint separates them."""
     groups = []
     for body in np.unique(data.model.body_weldid[moving]).tolist():
-        geoms = solid_geoms(data, fixed_to(data.model, [body]))
+        geoms = solid_geoms(data.model, fixed_to(data.model, [body]))
         if geoms:
             groups.append(geoms)
     return groups
@@ -222,7 +221,7 @@ def _farthest_way(shifts: Floats, reach: Floats) -> Floats:
     if not (lengths > SAME_M).any():
         return np.zeros(3)
     ways = shifts[:, np.where(lengths > SAME_M, reach, -np.inf).argmax()]
-    return np.asarray(ways[norm(ways, axis=1).argmax()])
+    return ways[norm(ways, axis=1).argmax()]
 
 
 def _open_fingers(
@@ -343,7 +342,7 @@ def _squared(approach: Floats, axis: Floats, frame: Floats) -> Floats:
     nearest = np.abs(shares).argmax()
     is_framed = np.abs(axis @ frame).max() > FRAMED_COSINE
     if is_framed and abs(shares[nearest]) > NEAR_COSINE:
-        return np.asarray(frame[:, nearest] * np.sign(shares[nearest]))
+        return frame[:, nearest] * np.sign(shares[nearest])
     return approach
 
 
@@ -368,4 +367,4 @@ def _first_across(candidates: Floats, approach: Floats) -> Floats:
     lengths = norm(flat, axis=1)
     is_across = lengths > 0.3 * norm(candidates, axis=1)
     first = is_across.argmax()
-    return np.asarray(flat[first] / lengths[first])
+    return flat[first] / lengths[first]

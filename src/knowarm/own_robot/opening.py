@@ -25,11 +25,10 @@ from knowarm.check import Check
 from knowarm.own_robot.draft_chain import (
     MOVABLE,
     Ids,
-    geoms_of,
 )
 from knowarm.own_robot.poses import robot_file
 from knowarm.world.robots.robot import Robot
-from knowarm.world.scene.surface import surface_points
+from knowarm.world.scene.surface import solid_geoms, surface_points
 
 TIP_M = 0.03  # Most length of a finger's tip
 TIP_SHARE = 0.5  # Most of a finger that is its tip
@@ -258,7 +257,7 @@ class Surfaces(NamedTuple):
         mask = mask & (self.is_first | True)
         along = self.points[:, 2]
         tip_m = min(TIP_M, TIP_SHARE * np.ptp(along[mask]))
-        return np.asarray(mask & (along > self.end(mask) - tip_m))
+        return mask & (along > self.end(mask) - tip_m)
 
     def gap(self, mask: Mask) -> tuple[float, float, bool]:
         """Return gap and middle of some points across the hand [m]; is the first finger higher?"""
@@ -288,13 +287,6 @@ class Surfaces(NamedTuple):
         beyond = self.points[:, 1] - middle
         beyond[self.is_first != is_higher] *= -1
         return self.tips(beyond <= max(gap, 0.0) / 2 + MEET_M)
-
-
-def solid_geoms(data: MjData, bodies: Ids) -> Ids:
-    """Return the geoms of bodies that collide, or all where none does."""
-    geoms = geoms_of(data.model, bodies)
-    solid = geoms[data.model.geom_contype[geoms] != 0]
-    return (solid if len(solid) else geoms).tolist()
 
 
 def widest_opening(
@@ -353,7 +345,7 @@ def check_fingers(robot: Robot) -> Check:
         geom = mj_name2id(model, mjtObj.mjOBJ_GEOM, name)
         body = mj_name2id(model, mjtObj.mjOBJ_BODY, name)
         if body >= 0:
-            fingers.append(solid_geoms(data, [body]))
+            fingers.append(solid_geoms(model, [body]))
         else:
             fingers.append([geom] if geom >= 0 else [])
     names = " and ".join(robot.fingers)

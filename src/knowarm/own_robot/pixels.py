@@ -72,7 +72,7 @@ def different_pixels(a: Images, b: Images) -> Integers:
     """Count the pixels in which images (..., H, W, 3) differ, (...)."""
     change = np.abs(np.subtract(a, b, dtype=np.int16))
     is_different = change.max(axis=-1) > DIFFERENCE
-    return np.asarray(is_different.sum(axis=(-2, -1)))
+    return is_different.sum(axis=(-2, -1))
 
 
 def robot_parts(scene: Scene) -> Mask:

@@ -55,7 +55,7 @@ def grasps(scene: Scene, signs: Any) -> tuple[Floats, Floats]:
 def sample_shares(scene: Scene, count: int) -> Floats:
     """Spread shares of the joints' ranges evenly, (count, J) in 0..1: a Halton sequence."""
     sequence = scipy.stats.qmc.Halton(scene.num_joints, scramble=False)
-    return np.asarray(sequence.random(count))
+    return sequence.random(count)
 
 
 def sample_joints(scene: Scene, count: int) -> Floats:

@@ -304,7 +304,7 @@ class JointWay(NamedTuple):
         """The number of largest steps, (n,)."""
         largest = joint_increments(self.scene.robot, self.config).max()
         change = np.abs(self.solution.joints - self.start).max(axis=1)
-        return np.asarray(change / largest)
+        return change / largest
 
     @property
     def most_steps(self) -> float:

@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from itertools import repeat
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -92,7 +93,7 @@ class LoopBatch:
     def expand(self, name: str) -> Any:
         """Give a field of the model its own value in each simulation, (n, ...), to write."""
         if name not in self._fields:
-            value = np.asarray(_field(self.model, name))
+            value = np.asarray(attrgetter(name)(self.model))
             self._fields[name] = np.repeat(value[None], self.nsim, axis=0)
         return self._fields[name]
 
@@ -130,18 +131,12 @@ class LoopBatch:
                 output[i] = getattr(data, name)
 
 
-def _field(model: MjModel, name: str) -> Any:
-    """Return a field of a model, or of its options as "opt.timestep"."""
-    if name.startswith("opt."):
-        return getattr(model.opt, name.removeprefix("opt."))
-    return getattr(model, name)
-
-
 def _set_field(model: MjModel, name: str, value: Any) -> None:
+    """Set a field of a model, or of its options as "opt.timestep"."""
     if name.startswith("opt."):
         setattr(model.opt, name.removeprefix("opt."), value)
     else:
-        _field(model, name)[:] = value
+        getattr(model, name)[:] = value
 
 
 make_batch: Any = LoopBatch

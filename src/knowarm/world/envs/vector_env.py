@@ -151,9 +151,8 @@ class ArmVectorEnv(BaseVectorEnv[Array]):
     def set_state(self, state: NamedArrays) -> None:
         """Restore a state of ``get_state``; see `BaseVectorEnv.set_state`."""
         # A torch environment resets all that have ended, and its state says nothing of them.
-        ended = state.get("ended", np.zeros(self.num_envs, bool))
         arrays = dict(state)
-        arrays.pop("ended", None)
+        ended = arrays.pop("ended", np.zeros(self.num_envs, bool))
         super().set_state(arrays)
         self._ended = np.array(ended)
 

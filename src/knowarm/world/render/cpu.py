@@ -118,20 +118,14 @@ class Raycaster(Rebuilt):
         geom_rgba: Floats32 | None = None,
         views: Floats32 | None = None,
         lamps: Floats32 | None = None,
-        *,
-        out: Images | None = None,
     ) -> Images:
-        """Draw n images as a ``Renderer``, into ``out`` if given.
+        """Draw n images as a ``Renderer``.
 
         With ``views`` or ``lamps``, geoms that stand still are drawn again in every image. Without
         ``geom_rgba``, geoms have the model's colours.
         """
         count = len(geom_position)
-        shape = (count, self.height, self.width, 3)
-        if out is None:
-            out = np.empty(shape, np.uint8)
-        assert out.shape == shape
-        assert out.flags.c_contiguous
+        out = np.empty((count, self.height, self.width, 3), np.uint8)
         batch = self._batch(geom_position, geom_matrix, geom_rgba, views, lamps)
         model = (batch, self.grid, self.scenery, self.stored, False, out)
         threads = min(len(self._scratch), count)

@@ -101,7 +101,7 @@ def unit_normals(corners: Array) -> Array:
     """Return the unit normals (T, 3) of triangles with corners (T, 3, 3)."""
     normal = _normals(corners)
     length = norm(normal, axis=1, keepdims=True)
-    return np.asarray(normal / np.maximum(length, 1e-20))
+    return normal / np.maximum(length, 1e-20)
 
 
 def _smooth_normals(full: Mesh, corners: Floats) -> Floats32:

@@ -260,7 +260,7 @@ def level_axes(backward: Floats) -> Floats:
     """Return right, up and backward of a level camera as columns, (3, 3)."""
     right = np.cross([0.0, 0.0, 1.0], backward)
     axes = np.stack([right, np.cross(backward, right), backward], axis=1)
-    return np.asarray(axes / norm(axes, axis=0))
+    return axes / norm(axes, axis=0)
 
 
 def roll(axes: Floats, degrees: float) -> Floats:

@@ -288,7 +288,7 @@ def project(
     backward = local[:, 2:]
     depth = np.where(backward < 0, -backward, np.nan)
     half_height = np.tan(np.radians(scene.model.cam_fovy[scene.camera]) / 2)
-    return np.asarray(local[:, :2] / (depth * half_height))
+    return local[:, :2] / (depth * half_height)
 
 
 def _grasp_site(model: MjModel, target: Target) -> int:

@@ -1,13 +1,26 @@
-"""Surfaces of geoms, as points."""
+"""Geoms of bodies, and points on their surfaces."""
 
+from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
-from mujoco import MjData, mjtGeom
+from mujoco import MjData, MjModel, mjtGeom
 
-from knowarm.arrays import Floats
+from knowarm.arrays import Floats, Integers
 
 POINTS = 9  # Along each edge
+
+
+def geoms_of(model: MjModel, bodies: Sequence[int]) -> Integers:
+    """Return the ids of the geoms of bodies."""
+    return np.flatnonzero(np.isin(model.geom_bodyid, bodies))
+
+
+def solid_geoms(model: MjModel, bodies: Sequence[int]) -> list[int]:
+    """Return the geoms of bodies that collide, or all where none does."""
+    geoms = geoms_of(model, bodies)
+    solid = geoms[model.geom_contype[geoms] != 0]
+    return (solid if len(solid) else geoms).tolist()
 
 
 def surface_points(data: MjData, geom: int) -> Floats:
