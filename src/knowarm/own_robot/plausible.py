@@ -7,7 +7,7 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from mujoco import MjData, MjModel, MjsBody, mj_kinematics, mj_ray, mjtGeom, mjtJoint
+from mujoco import MjModel, MjsBody, mj_ray, mjtGeom, mjtJoint
 
 from knowarm.arrays import Floats
 from knowarm.own_robot.draft_chain import box_corners, joint_names
@@ -15,7 +15,7 @@ from knowarm.own_robot.pixels import fixed_parts
 from knowarm.own_robot.poses import robot_file, support_places
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.compose import ROBOT_PREFIX
-from knowarm.world.scene.mjcf import surroundings
+from knowarm.world.scene.mjcf import drawn, surroundings
 from knowarm.world.scene.scene import Scene
 
 
@@ -94,9 +94,7 @@ def fixed_parts_above(scene: Scene) -> list[str]:
 def stands_on(robot: Robot, low_m: float) -> bool:
     """Return whether something of a robot's file that is left out bears it at a height [m]."""
     part = robot_file(robot)
-    model = part.compile()
-    data = MjData(model)
-    mj_kinematics(model, data)
+    data = drawn(part)
     for element in surroundings(part, (*robot.joints, *robot.held_joints)):
         geoms = [element]
         if isinstance(element, MjsBody):

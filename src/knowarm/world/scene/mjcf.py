@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 from mujoco import (
+    MjData,
     MjsGeom,
     MjsJoint,
     MjSpec,
+    mj_kinematics,
     mjtBias,
     mjtGeom,
     mjtJoint,
@@ -61,6 +63,14 @@ def read_mjcf(path: Path, owner: str, xml: str | None = None) -> MjSpec:
             f"{owner}: mjcf {str(path)!r} does not compile: {one_line(error)}. Correct the file; "
             f"`python -m mujoco.viewer --mjcf={shlex.quote(str(path))}` shows the same error."
         ) from None
+
+
+def drawn(spec: MjSpec) -> MjData:
+    """Compile a model; return its bodies as they are drawn, with the compiled model."""
+    model = spec.compile()
+    data = MjData(model)
+    mj_kinematics(model, data)
+    return data
 
 
 def _compile(path: Path) -> None:

@@ -13,7 +13,6 @@ from mujoco import (
     MjsBody,
     MjSpec,
     mj_geomDistance,
-    mj_kinematics,
     mj_versionString,
     mjNEQDATA,
     mjtCone,
@@ -33,7 +32,7 @@ from knowarm.world.batch import MUJOCO
 from knowarm.world.objects.target import Target
 from knowarm.world.robots.robot import FINGERS_JOINT, Robot
 from knowarm.world.scene.compose import ROBOT_BIT, ROBOT_PREFIX, SUPPORT_BIT, compose
-from knowarm.world.scene.mjcf import read_mjcf
+from knowarm.world.scene.mjcf import drawn, read_mjcf
 from knowarm.world.scene.scene import Fingers, Scene, compiling, describe_model
 from knowarm.world.scene.surface import solid_geoms, surface_points
 
@@ -97,8 +96,8 @@ def build_lift_scene(
         spec.option.timestep = timestep_s
         spec.option.cone = mjtCone.mjCONE_ELLIPTIC
         spec.option.impratio = IMPRATIO
-        _add_pads(spec, _drawn(spec), robot)
-        data = _drawn(spec)
+        _add_pads(spec, drawn(spec), robot)
+        data = drawn(spec)
         opening = _move_fingers(spec, data, robot)
         rest = np.stack([_free(spec, data, robot, target) for target in targets])
         names = [_body_name(spec, target) for target in targets]
@@ -122,14 +121,6 @@ def build_lift_scene(
     bodies = np.array([model.body(name).id for name in names], np.intp)
     object_qpos = model.jnt_qposadr[model.body_jntadr[bodies]].astype(np.intp)
     return LiftScene(**scene, bodies=bodies, object_qpos=object_qpos, rest=rest)
-
-
-def _drawn(spec: MjSpec) -> MjData:
-    """Compile the scene; return its bodies as they are drawn, with the model."""
-    model = spec.compile()
-    data = MjData(model)
-    mj_kinematics(model, data)
-    return data
 
 
 def _tcp_frame(data: MjData, robot: Robot) -> tuple[Floats, Floats]:
