@@ -201,6 +201,11 @@ def read_arrays(path: Path, *, remedy: str) -> dict[str, np.ndarray]:
 
 
 def write_json(path: Path, values: Mapping[str, Any]) -> None:
-    """Write a JSON object through a temporary file, so that readers never see a part of it."""
-    with replacing(path) as temporary:
-        temporary.write_text(json.dumps(values, indent=2) + "\n", encoding="utf-8")
+    """Write a JSON object as `write_text` does."""
+    write_text(path, json.dumps(values, indent=2) + "\n")
+
+
+def write_text(path: Path, text: str, remedy: str = "") -> None:
+    """Write a text through a temporary file, so that readers never see a part of it."""
+    with replacing(path, remedy) as temporary:
+        temporary.write_text(text, encoding="utf-8")

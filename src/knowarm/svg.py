@@ -1,9 +1,13 @@
-"""SVG builder: elements, text, paths and whole drawings as markup strings; styles of pages."""
+"""SVG builder: elements, text, paths and drawings as markup strings; pages and their style."""
 
 import math
 from collections.abc import Sequence
 from html import escape as _escape_markup
 from importlib.resources import files
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
 
 _NOT_XML = dict.fromkeys(
     (*range(9), 11, 12, *range(14, 32), *range(0xD800, 0xE000), 0xFFFE, 0xFFFF)
@@ -17,6 +21,13 @@ FONT = "Helvetica, Arial, sans-serif"  # of `document`; inline drawings have tha
 def style_sheet() -> str:
     """Return the style sheet of all pages that KnowArm writes: reports, answers, leaderboard."""
     return (files("knowarm") / "style.css").read_text(encoding="utf-8")
+
+
+def render_page(package: str, template: str, **values: Any) -> str:
+    """Render a self-contained HTML page from a template of a package, with the style sheet."""
+    loader = PackageLoader(package)
+    pages = Environment(loader=loader, autoescape=True, undefined=StrictUndefined)
+    return pages.get_template(template).render(values, style=Markup(style_sheet()))
 
 
 def escape(text: str, *, quote: bool = False) -> str:

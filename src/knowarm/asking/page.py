@@ -12,8 +12,6 @@ from typing import Any, NamedTuple
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
 
 from knowarm.asking.asker import SCENES, Asked, Asker, in_words
 from knowarm.asking.judgements import Judgement
@@ -24,8 +22,8 @@ from knowarm.knowledge.graph.edits import edited
 from knowarm.local_server import ADDRESS, PORTS, LocalHandler, listen, refusal
 from knowarm.perception.config import Unclear
 from knowarm.pictures import animation, data_uri, encode
-from knowarm.reading import replacing
-from knowarm.svg import style_sheet
+from knowarm.reading import write_text
+from knowarm.svg import render_page
 
 RED = (214, 39, 40)
 FRAME_MS = 100
@@ -144,8 +142,6 @@ def page(
     problem: str = "",
 ) -> str:
     """Return the page as self-contained HTML; an asker adds a form and what can be asked."""
-    loader = PackageLoader("knowarm.asking")
-    template = Environment(loader=loader, autoescape=True, undefined=StrictUndefined)
     values: dict[str, Any] = {
         "asked": asked,
         "question": question,
@@ -154,7 +150,6 @@ def page(
         "condition": condition,
         "bases": BASES,
         "problem": problem,
-        "style": Markup(style_sheet()),
         "scene": scene,
         "sorts": asker is not None and asker.has_chores,
     }
@@ -166,16 +161,14 @@ def page(
         image, facets = asker.look(min(scene or 0, SCENES - 1))
         values["image"] = data_uri("PNG", encode(image, "PNG"))
         values["standing"] = ", ".join(map(in_words, facets))
-    return template.get_template("ask.html.j2").render(values)
+    return render_page("knowarm.asking", "ask.html.j2", **values)
 
 
 def write_page(path: Path, asked: Asked, question: str, edits: Sequence[str]) -> None:
     """Write the page of a question, as it was asked, to an HTML file."""
     if path.suffix.lower() not in (".html", ".htm"):
         raise UserError(f"The page must be an .html file, got {path}.")
-    text = page(asked, question, edits)
-    with replacing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_text(path, page(asked, question, edits))
 
 
 def serve_page(server: HTTPServer) -> None:

@@ -12,7 +12,7 @@ from knowarm.benchmark.rows import Row, query_gain, read_row
 from knowarm.benchmark.suites import CONTROLS, Suite, by_table, read_suite
 from knowarm.errors import UserError
 from knowarm.escapes import markdown
-from knowarm.reading import replacing
+from knowarm.reading import write_text
 from knowarm.statistics import Interval
 from knowarm.svg import style_sheet
 
@@ -137,6 +137,5 @@ def write_leaderboard(rows: Sequence[Row], path: Path) -> list[Path]:
     for file in paths:
         template = templates.get_template(f"leaderboard{file.suffix}.j2")
         text = template.render(contents)
-        with replacing(file) as temporary:
-            temporary.write_text(text.rstrip() + "\n", encoding="utf-8")
+        write_text(file, text.rstrip() + "\n")
     return paths

@@ -32,7 +32,7 @@ from knowarm.own_robot.robot_check import check_robot
 from knowarm.own_robot.scene_image import write_scene_image
 from knowarm.own_robot.urdf import MODEL_SUFFIXES, as_mjcf, keep_converted
 from knowarm.pictures import check_suffix
-from knowarm.reading import replacing
+from knowarm.reading import write_text
 from knowarm.world.config import EnvConfig
 from knowarm.world.description import SUFFIX
 from knowarm.world.robots import DEFAULT_ROBOT, find_robot
@@ -208,8 +208,7 @@ class Doctor(TableCommand):
                 draft = replace(draft, robot=robot_there)
             text = draft.toml(file)
             self._print(draft, text, new or Path(file.name))
-            with replacing(file) as temporary:
-                temporary.write_text(text, "utf-8")
+            write_text(file, text)
             yield from self._check(str(file))
 
     def _check(self, robot: str) -> Iterable[Check]:
@@ -256,8 +255,7 @@ class Doctor(TableCommand):
             print(text)
             return
         self._refuse_existing()
-        with replacing(self.write) as temporary:
-            temporary.write_text(text, "utf-8")
+        write_text(self.write, text)
         use = shlex.join(["--joint-map", str(self.write)])
         print(
             f"Wrote {self.write}; knowarm serve, ros, record and export take it: {use}"

@@ -13,7 +13,7 @@ from PIL import Image
 
 from knowarm.errors import UserError, packages_of
 from knowarm.escapes import latex, markdown
-from knowarm.reading import replacing
+from knowarm.reading import replacing, write_text
 from knowarm.report.blocks import Column, DataTable, Films, Verdict
 from knowarm.report.charts import SUCCESS_AXIS, TEMPLATES
 from knowarm.report.collect import collect
@@ -89,8 +89,7 @@ def write_figure(
                 "`knowarm evaluate RUN` first."
             )
         text = _table(results_figure(study).table, verdict.sentence, suffix)
-        with replacing(out) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        write_text(out, text)
         return verdict.sentence
     kind = kind or "curves"
     draw, reading_aid = DRAWINGS[kind]

@@ -9,8 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
 from numpy.typing import NDArray
 
 from knowarm.asking.asker import in_words
@@ -20,8 +18,8 @@ from knowarm.experiment.load import TrainedAgent
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.knowledge.graph.edits import edited
 from knowarm.pictures import animation, data_uri
-from knowarm.reading import replacing
-from knowarm.svg import style_sheet
+from knowarm.reading import write_text
+from knowarm.svg import render_page
 from knowarm.world.tasks.sampling import Episodes
 from knowarm.world.tasks.skills.chores import Tidied
 
@@ -74,19 +72,17 @@ class Story:
 
     def page(self, form: Mapping[str, Any] | None = None, problem: str = "") -> str:
         """Return it as a self-contained page; with a form where a server changes it."""
-        loader = PackageLoader("knowarm.asking")
-        made = Environment(loader=loader, autoescape=True, undefined=StrictUndefined)
-        return made.get_template("tidy.html.j2").render(
+        return render_page(
+            "knowarm.asking",
+            "tidy.html.j2",
             paragraphs=self.paragraphs,
             form=form,
             problem=problem,
-            style=Markup(style_sheet()),
         )
 
     def write(self, path: Path) -> None:
         """Write the page to a file."""
-        with replacing(path, "Name another file.") as temporary:
-            temporary.write_text(self.page(), encoding="utf-8")
+        write_text(path, self.page(), "Name another file.")
 
 
 def tell(

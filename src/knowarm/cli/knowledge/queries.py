@@ -38,7 +38,7 @@ from knowarm.knowledge.queries.queries import Pairs, QueryGraph
 from knowarm.knowledge.queries.sparql import SparqlQuery
 from knowarm.knowledge.queries.splits import SPLITS, QuerySplits, query_splits
 from knowarm.questions import ObjectColour, QuestionTable
-from knowarm.reading import read_text, replacing
+from knowarm.reading import read_text, write_text
 
 Names = dict[str, list[str]]  # lists of names by what they are of
 MOST_TRIPLES = 60  # most triples that are printed
@@ -279,8 +279,7 @@ class Draw(SelectionOptions):
         """Select, draw and write."""
         graph = self.select(self.read())
         drawing = draw_svg(graph, self.objects, self.title)
-        with replacing(self.out, "Give another path.") as temporary:
-            temporary.write_text(drawing, encoding="utf-8")
+        write_text(self.out, drawing, "Give another path.")
         print(f"Wrote {self.out}")
         print(f"{len(graph)} triples, {len(graph.nodes)} entities")
 

@@ -8,15 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
 from PIL import Image, ImageDraw, ImageFont
 
 from knowarm.arrays import Floats, Images
 from knowarm.errors import UserError
 from knowarm.pictures import animation, check_suffix, data_uri
-from knowarm.reading import replacing
-from knowarm.svg import style_sheet
+from knowarm.reading import replacing, write_text
+from knowarm.svg import render_page
 from knowarm.world.agents.play import play_steps
 from knowarm.world.agents.protocol import AgentProtocol
 from knowarm.world.envs.vector_env import RENDER_SIZE, ArmVectorEnv
@@ -202,12 +200,8 @@ def write_page(path: Path, title: str, episodes: Sequence[Sequence[Frame]]) -> N
 def write_html(path: Path, template: str, **values: Any) -> None:
     """Write a self-contained HTML page of a template of this folder."""
     check_page(path)
-    loader = PackageLoader(__package__)
-    pages = Environment(loader=loader, autoescape=True, undefined=StrictUndefined)
-    style = Markup(style_sheet())
-    text = pages.get_template(template).render(values, style=style)
-    with replacing(path, "Name another file.") as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    text = render_page(__package__, template, **values)
+    write_text(path, text, "Name another file.")
 
 
 def _side_by_side(frame: Frame) -> Images:
