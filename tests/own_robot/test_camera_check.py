@@ -49,6 +49,12 @@ def few_cameras(monkeypatch):
     monkeypatch.setattr(camera_check, "CAMERAS", 20)
 
 
+@pytest.fixture
+def five_cameras(monkeypatch):
+    """Five judge clicks off by a pixel as twenty do, in a quarter of the time."""
+    monkeypatch.setattr(camera_check, "CAMERAS", 5)
+
+
 def points(scene) -> dict:
     return named_points(scene, scene.at(scene.home))
 
@@ -154,25 +160,44 @@ def direction(generator) -> np.ndarray:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("robot", ["irb120", "tiago"])
 @pytest.mark.parametrize(
-    ("changes", "noise_px", "tries", "least", "most"),
+    ("changes", "noise_px", "cameras", "tries", "least", "most"),
     [
-        (lambda g: {}, 0.5, 40, 0.95, 1),
-        (lambda g: {}, 1, 200, 0.95, 1),
-        (lambda g: {}, 2, 40, 0.95, 1),
-        (lambda g: {"shift": 0.03 * direction(g)}, 1, 200, 0, 0.05),
-        (lambda g: {"roll_deg": 3.0 * g.choice([-1, 1])}, 1, 200, 0, 0.05),
+        (lambda g: {}, 0.5, 5, 20, 0.95, 1),
+        (lambda g: {}, 1, 5, 200, 0.95, 1),
+        (lambda g: {}, 2, 20, 40, 0.95, 1),
+        (lambda g: {"shift": 0.03 * direction(g)}, 1, 5, 40, 0, 0.05),
+        (lambda g: {"roll_deg": 3.0 * g.choice([-1, 1])}, 1, 5, 40, 0, 0.05),
     ],
     ids=["right .5", "right 1", "right 2", "3 cm", "3 degrees"],
 )
 def test_right_cameras_are_accepted_and_wrong_ones_refused_in_nineteen_of_twenty_tries(
-    few_cameras, robot, changes, noise_px, tries, least, most
+    scene, monkeypatch, changes, noise_px, cameras, tries, least, most
 ) -> None:
-    scene = scene_of(EnvConfig(robot=robot))
+    monkeypatch.setattr(camera_check, "CAMERAS", cameras)
     generator = np.random.default_rng(1)
     share = verdicts(
         scene, lambda g: real_camera(scene, **changes(g)), noise_px, tries, generator
+    )
+    assert least <= share <= most
+
+
+@pytest.mark.parametrize(
+    ("changes", "least", "most"),
+    [
+        (lambda g: {}, 0.95, 1),
+        (lambda g: {"shift": 0.03 * direction(g)}, 0, 0.05),
+        (lambda g: {"roll_deg": 3.0 * g.choice([-1, 1])}, 0, 0.05),
+    ],
+    ids=["right", "3 cm", "3 degrees"],
+)
+def test_the_camera_of_another_arm_is_judged_alike(
+    five_cameras, changes, least, most
+) -> None:
+    scene = scene_of(EnvConfig(robot="tiago"))
+    generator = np.random.default_rng(1)
+    share = verdicts(
+        scene, lambda g: real_camera(scene, **changes(g)), 1, 20, generator
     )
     assert least <= share <= most
 
@@ -192,7 +217,7 @@ def test_right_cameras_are_accepted_and_wrong_ones_refused_in_nineteen_of_twenty
         ({"on_the_other_side": True}, 0.0),
     ],
 )
-def test_cameras_with_clicks_off_by_a_pixel(scene, few_cameras, changes, accepted):
+def test_cameras_with_clicks_off_by_a_pixel(scene, five_cameras, changes, accepted):
     generator = np.random.default_rng(2)
     camera = real_camera(scene, **changes)
     assert verdicts(scene, lambda g: camera, 1, 5, generator) == accepted
