@@ -33,6 +33,14 @@ def reach_run(tmp_path_factory):
 
 
 @pytest.fixture
+def unfenced(monkeypatch):
+    """Compute in this process what is fenced: a fork of a test process takes 40 ms."""
+    from knowarm.fence import Fence
+
+    monkeypatch.setattr(Fence, "is_inside", True)
+
+
+@pytest.fixture
 def short_search(monkeypatch):
     """Let checks of robots try a tenth of the fixed lists of actions."""
     from knowarm.world.agents import OpenLoopAgent

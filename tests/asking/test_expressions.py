@@ -149,14 +149,17 @@ def test_a_graph_of_other_things_is_refused():
 def test_every_condition_of_the_choose_task_has_the_answers_of_its_table():
     env = experiment_config("irb120-choose-subgraph-fast").env
     questions, facets = questions_of(env), facets_of(env)
-    graph, checked = shipped_graph("objects"), 0
-    for query, satisfies in zip(questions.queries, questions.satisfies, strict=True):
-        if satisfies.any():
+    graph, checked = shipped_graph("objects"), Counter()
+    for number, query in enumerate(questions.queries):
+        is_pair = " and " in query.name
+        satisfies = questions.satisfies[number]
+        if satisfies.any() and not (is_pair and number % 6):
             np.testing.assert_array_equal(
                 answer(graph, facets, query.name).satisfies, satisfies
             )
-            checked += 1
-    assert checked > 40
+            checked[is_pair] += 1
+    assert checked[False] > 40
+    assert checked[True] > 40
 
 
 def test_edits_change_answers():
@@ -305,6 +308,7 @@ def random_question(rng, depth, target="?object"):
     )
 
 
+@pytest.mark.usefixtures("unfenced")
 def test_words_and_sparql_give_the_same_answers_to_random_questions_with_colours():
     rng = np.random.default_rng(0)
     always = ("lamp", "isA", "anchor")  # so that no question is without an answer

@@ -408,6 +408,7 @@ def sparql(conditions, is_or):
     return f"SELECT ?object WHERE {{ {(' UNION ' if is_or else ' ').join(parts)} }}"
 
 
+@pytest.mark.usefixtures("unfenced")
 def test_words_sparql_and_conditions_answer_alike():
     random = np.random.default_rng(0)
     objects, colours = ["mug", "lamp", "book", "vase"], ["red", "blue"]
