@@ -13,6 +13,8 @@ import pytest
 # Two test processes share two cores; more threads would wait for each other. Before torch is read.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+IS_WORKER = "PYTEST_XDIST_WORKER" in os.environ
+
 REMEDIES = {
     "Chromium": ("apt-get install chromium", r"chromium"),
     "WordNet": ("apt-get install wordnet-base", r"wordnet"),
@@ -21,6 +23,54 @@ REMEDIES = {
 }
 """What tests need beside the Python packages of the extra ``dev``: remedy, and pattern of the
 reason with which they are skipped."""
+
+
+@pytest.fixture(scope="session", autouse=IS_WORKER)
+def compiled_kernels(tmp_path_factory):
+    """Compile the kernels of images and rewards once: else each of the processes does, at once."""
+    from filelock import FileLock
+
+    from knowarm.world.config import EnvConfig
+    from knowarm.world.envs.vector_env import ArmVectorEnv
+
+    with FileLock(tmp_path_factory.getbasetemp().parent / "kernels.lock"):
+        env = ArmVectorEnv(EnvConfig(), 1)
+        env.reset(seed=0)
+        env.step(env.action_space.sample())
+
+
+@pytest.fixture(scope="session")
+def exported_zoo(tmp_path_factory):
+    """Export shipped policies: ``exported_zoo(name)`` is a folder; copy it before changing it.
+
+    Those of the choose task by the function, the others by the command; each once, as it takes
+    seconds, for all test processes.
+    """
+    from filelock import FileLock
+
+    from knowarm.cli.main import main
+    from knowarm.deploy.contract import export
+    from knowarm.experiment.load import load_agent
+    from tests.source_tree import ROOT
+
+    place = tmp_path_factory.getbasetemp()
+    if IS_WORKER:
+        place = place.parent
+    place /= "exported"
+    place.mkdir(exist_ok=True)
+
+    def exported(name):
+        folder = place / name
+        with FileLock(place / f"{name}.lock"):
+            if not (folder / "contract.json").exists():  # which is written last
+                run = ROOT / "zoo" / name
+                if "-choose-" in name:
+                    export(load_agent(run), folder)
+                else:
+                    assert main(["export", str(run), "--to", str(folder)]) == 0
+        return folder
+
+    return exported
 
 
 @pytest.fixture(scope="session")

@@ -10,9 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from knowarm.cli.main import main
 from knowarm.deploy import runner as runner_module
-from knowarm.deploy.contract import export
 from knowarm.deploy.runner import Runner, Start
 from knowarm.experiment.load import load_agent
 from knowarm.world.agents.play import play
@@ -28,17 +26,9 @@ ZOO = Path(__file__).parents[2] / "zoo"
 @pytest.fixture(
     scope="module", params=["irb120-choose-subgraph-fast", "irb120-full-fast"]
 )
-def exported(request, tmp_path_factory):
+def exported(request, exported_zoo):
     """A policy exported by the function, and one by the command."""
-    trained, folder = (
-        load_agent(ZOO / request.param),
-        tmp_path_factory.mktemp("exported"),
-    )
-    if "choose" in request.param:
-        export(trained, folder)
-    else:
-        assert main(["export", str(ZOO / request.param), "--to", str(folder)]) == 0
-    return trained, folder
+    return load_agent(ZOO / request.param), exported_zoo(request.param)
 
 
 @pytest.mark.slow

@@ -39,13 +39,11 @@ def trained():
 
 
 @pytest.fixture(scope="module")
-def exported(tmp_path_factory):
+def exported(exported_zoo):
     """The folder that the command writes."""
     pytest.importorskip("onnxruntime")
     pytest.importorskip("onnxscript")
-    folder = tmp_path_factory.mktemp("exported")
-    assert main(["export", str(RUN), "--to", str(folder)]) == 0
-    return folder
+    return exported_zoo(RUN.name)
 
 
 @pytest.fixture(scope="module")

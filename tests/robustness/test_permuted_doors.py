@@ -5,6 +5,7 @@ Forms are permutations of joints, tables, objects, questions, channels and axes,
 """
 
 import json
+import shutil
 import sys
 import threading
 from collections.abc import Callable, Mapping
@@ -468,8 +469,12 @@ DOORS = [
 
 
 @pytest.fixture(scope="module")
-def doors(trained, tmp_path_factory):
-    return Doors(trained, tmp_path_factory.mktemp("doors"))
+def doors(trained, tmp_path_factory, exported_zoo):
+    folder = tmp_path_factory.mktemp("doors")
+    made = Doors(trained, folder)
+    source = exported_zoo(trained.config.name)
+    made.exported = Path(shutil.copytree(source, folder / "exported"))
+    return made
 
 
 @pytest.mark.parametrize("door", DOORS, ids=lambda door: door.__name__)
