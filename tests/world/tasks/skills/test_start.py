@@ -52,7 +52,7 @@ def collisions(
 
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_the_start_is_far_from_every_grasp_and_the_oracle_needs_half_the_episode(robot):
-    config = EnvConfig(robot=robot)
+    config = EnvConfig(robot=robot, image_size=8)  # which the oracle does not see
     env = ArmVectorEnv(config, 100)
     episodes = evaluation_episodes(config, 300, seed=5)
     for first in range(0, 300, 100):
