@@ -238,5 +238,5 @@ def test_the_memory_task_is_solved():
         rmsprop_eps=1e-5,
     )
     built, _ = trainer(config=config, make=partial(make_env, length=2, staggered=False))
-    built.train(15_000)
+    built.train(9_000)
     assert success_rate(built.policy, recall=True, length=2) > 0.75
