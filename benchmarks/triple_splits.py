@@ -53,7 +53,14 @@ def split_graph(
 
 def read_split(folder: Path) -> Split:
     """Read the triples of a folder as they are split; no triple may be in several parts."""
-    graph, parts = read_parts(folder)
+    graph, triples = read_parts(folder)
+    parts = {}
+    for name, part in triples.items():
+        ids = []
+        for head, relation, tail in part:
+            ends = graph.names.find_all([head, tail])
+            ids.append([ends[0], *graph.relation_names.find_all([relation]), ends[1]])
+        parts[name] = np.array(ids, np.int64).reshape(-1, 3)
     distinct = [np.unique(part, axis=0) for part in parts.values()]
     rows, counts = np.unique(np.concatenate(distinct), axis=0, return_counts=True)
     for head, relation, tail in rows[counts > 1][:1]:

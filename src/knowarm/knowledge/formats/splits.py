@@ -6,19 +6,17 @@ from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
 
-import numpy as np
-
 from knowarm.errors import UserError
 from knowarm.knowledge.formats.files import text_lines
 from knowarm.knowledge.formats.tables import read_table
 from knowarm.knowledge.graph.builder import graph_of
-from knowarm.knowledge.graph.graph import Ids, KnowledgeGraph, Names, Triple
+from knowarm.knowledge.graph.graph import KnowledgeGraph, Triple
 
 PARTS = ("train", "valid", "test")
 _NAME = re.compile(r"(.+)[\t ]\s*([0-9]{1,9})\s*")
 _TRIPLE = re.compile(r"[\s,]*([0-9]{1,9})[\s,]+([0-9]{1,9})[\s,]+([0-9]{1,9})[\s,]*")
-Parts = dict[str, Ids]
-"""Ids of head, relation and tail of the triples of each part, (n, 3) int64."""
+Parts = dict[str, list[Triple]]
+"""The triples of each part, in the order of its file."""
 
 
 def read_parts(folder: Path) -> tuple[KnowledgeGraph, Parts]:
@@ -38,33 +36,26 @@ def read_parts(folder: Path) -> tuple[KnowledgeGraph, Parts]:
         )
     labels: dict[str, str] = {}
     confidence: dict[Triple, float] = {}
-    graphs = {}
+    parts = Parts()
     for part in PARTS:
+        parts[part] = []
         file = folder / f"{part}.txt"
         if os.path.lexists(file):  # what is no file is refused
-            graphs[part] = read_table(file, "\t")
-            labels.update(graphs[part].labels)
-            confidence.update(graphs[part].confidence)
-    triples = chain.from_iterable(graphs.values())
-    whole = graph_of(triples, labels=labels, confidence=confidence)
-    parts = dict.fromkeys(PARTS, np.empty((0, 3), np.int64))
-    for part, graph in graphs.items():
-        entities = np.array(list(map(whole.names.find, graph.names)))
-        relations = np.array(list(map(whole.relation_names.find, graph.relation_names)))
-        heads = entities[graph.heads]
-        middle = relations[graph.relations]
-        tails = entities[graph.tails]
-        parts[part] = np.stack([heads, middle, tails], axis=1)
-    return whole, parts
+            graph = read_table(file, "\t")
+            parts[part] += graph
+            labels.update(graph.labels)
+            confidence.update(graph.confidence)
+    triples = chain.from_iterable(parts.values())
+    return graph_of(triples, labels=labels, confidence=confidence), parts
 
 
 def _read_openke(folder: Path) -> tuple[KnowledgeGraph, Parts]:
-    names, entities = _read_names(folder / "entity2id.txt")
-    relation_names, relations = _read_names(folder / "relation2id.txt")
+    entities = _read_names(folder / "entity2id.txt")
+    relations = _read_names(folder / "relation2id.txt")
     parts = Parts()
     for part in PARTS:
         path = folder / f"{part}2id.txt"
-        triples = []
+        parts[part] = []
         for where, cells in _rows(path, _TRIPLE, "three ids `head tail relation`"):
             head, tail, relation = map(int, cells)
             if max(head, tail) >= len(entities) or relation >= len(relations):
@@ -73,15 +64,13 @@ def _read_openke(folder: Path) -> tuple[KnowledgeGraph, Parts]:
                     f"{len(entities)} entities and {len(relations)} relations. OpenKE's order is "
                     "`head tail relation`."
                 )
-            triples.append([entities[head], relations[relation], entities[tail]])
-        parts[part] = np.array(triples, np.int64).reshape(-1, 3)
-    nodes = np.arange(len(names), dtype=np.int32)
-    whole = np.concatenate(list(parts.values()))
-    return KnowledgeGraph(names, relation_names, whole, nodes=nodes), parts
+            triple = (entities[head], relations[relation], entities[tail])
+            parts[part].append(triple)
+    return graph_of(chain.from_iterable(parts.values()), nodes=entities), parts
 
 
-def _read_names(path: Path) -> tuple[Names, list[int]]:
-    """Return the names sorted, and the new id of each id of the file."""
+def _read_names(path: Path) -> list[str]:
+    """Return the names in the order of their ids."""
     by_id = {}
     count = 0
     for _, (name, number) in _rows(path, _NAME, "`name<tab>id`"):
@@ -92,8 +81,7 @@ def _read_names(path: Path) -> tuple[Names, list[int]]:
             f"{path}: holds {count} lines, but not as many different names with the ids 0 to "
             f"{count - 1}. Give every name one id, and every id one name."
         )
-    order = sorted(by_id, key=by_id.__getitem__)
-    return Names(sorted(by_id.values())), np.argsort(order).tolist()
+    return list(map(by_id.__getitem__, range(count)))
 
 
 def _rows(
