@@ -5,7 +5,7 @@ import pytest
 
 from knowarm.errors import DataWarning, UserError
 from knowarm.knowledge import graph_of, household, read_graph
-from knowarm.knowledge.formats import WRITERS, write_graph
+from knowarm.knowledge.formats import WRITTEN, write_graph
 from knowarm.knowledge.formats.tables import read_conceptnet
 from knowarm.knowledge.graph.builder import union
 from knowarm.knowledge.graph.edits import edited
@@ -234,7 +234,7 @@ def test_letters_beyond_ascii_have_one_name(tmp_path, spelling):
     graph = read_graph(path)
     assert list(graph) == [("café", "isA", "bar"), ("café", "isA", "shop")]
     assert sparql(graph, "SELECT ?x { :café :isA ?x }").rows == (("bar",), ("shop",))
-    for suffix in WRITERS:
+    for suffix in WRITTEN:
         write_graph(graph, tmp_path / f"b{suffix}")
         assert read_graph(tmp_path / f"b{suffix}") == graph
 

@@ -28,7 +28,7 @@ from knowarm.experiment.agents import AGENTS
 from knowarm.knowledge import KnowledgeGraph, gamma, write_graph
 from knowarm.knowledge.config import KnowledgeConfig
 from knowarm.knowledge.draw import draw_svg
-from knowarm.knowledge.formats import WRITERS, read_graph
+from knowarm.knowledge.formats import WRITTEN, read_graph
 from knowarm.knowledge.graph.builder import difference, union
 from knowarm.knowledge.graph.graph import Direction
 from knowarm.knowledge.graph.statistics import graph_statistics
@@ -301,7 +301,7 @@ class Subgraph(SelectionOptions, TableCommand):
 
     def result(self) -> Values:
         """Select, print and write."""
-        check_out(self.out, "graphs", tuple(WRITERS))
+        check_out(self.out, "graphs", tuple(WRITTEN))
         graph = self.read()
         if self.union is not None:
             graph = union(graph, read_graph(self.union))

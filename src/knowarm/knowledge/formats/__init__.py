@@ -1,10 +1,10 @@
 """Reading and writing of graphs by file format, and the shipped household graph."""
 
 import re
-from collections.abc import Callable
-from functools import cache, partial
+from collections.abc import Callable, Sequence
+from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from pyoxigraph import RdfFormat
 
@@ -20,104 +20,56 @@ from knowarm.knowledge.formats.tables import read_conceptnet, read_table, write_
 from knowarm.knowledge.formats.written import looks_written, read_written
 from knowarm.knowledge.graph.closure import closed
 from knowarm.knowledge.graph.graph import KnowledgeGraph
-from knowarm.reading import replacing
+from knowarm.reading import read_toml, replacing
 
-Reader = Callable[[Path], KnowledgeGraph]
-Writer = Callable[[KnowledgeGraph, Path], None]
+SEPARATORS = {".csv": ",", ".tsv": "\t"}
+"""What separates the cells of a table, by the first suffix of its format."""
+READERS: dict[str, Callable[..., KnowledgeGraph]] = {
+    "rdf": lambda path, suffix: read_rdf(path, _syntax(suffix)),
+    "owl": lambda path, suffix: read_owl(path, suffix[1:]),
+    "networkx": lambda path, suffix: read_with_networkx(path, suffix[1:]),
+    "table": lambda path, suffix: read_table(path, SEPARATORS[suffix]),
+    "json": lambda path, _: read_json_graph(path),
+    "conceptnet": read_conceptnet,
+    "written": lambda path, _: read_written(path),
+    "folder": lambda path: read_parts(path)[0],
+}
+"""What reads files, given the first suffix of their format, if it has one."""
+
+
+def _syntax(suffix: str) -> RdfFormat:
+    syntax = RdfFormat.from_extension(suffix[1:])
+    assert syntax is not None  # of a format that the file of formats lists
+    return syntax
 
 
 class Format(NamedTuple):
     """How files are read, and what they are recognized by."""
 
-    read: Reader
-    suffixes: tuple[str, ...] = ()  # Each may be followed by one of `COMPRESSED`
-    recognizes: Callable[[str], object] = lambda content: False
-    """Whether content without comments before it is of this format."""
+    reader: str
+    suffixes: Sequence[str] = ()
+    begins: str = "(?!)"
 
+    def read(self, path: Path) -> KnowledgeGraph:
+        """Read a file."""
+        return READERS[self.reader](path, *self.suffixes[:1])
 
-def _format(
-    read: Callable[[Path, Any], KnowledgeGraph],
-    kind: Any,
-    *suffixes: str,
-    begins: str = "(?!)",
-) -> Format:
-    """Return the format of files that a function reads as some kind, and how they begin."""
-    recognizes = re.compile(begins, re.DOTALL).match
-    return Format(lambda path: read(path, kind), suffixes, recognizes)
+    def recognizes(self, content: str) -> bool:
+        """Return whether content without comments before it is of this format."""
+        if self.reader == "written":
+            return looks_written(content)
+        begins = self.begins.replace("PROLOG", _PROLOG).replace("JSON", _JSON)
+        return re.match(begins, content, re.DOTALL) is not None
 
 
 _PROLOG = r"(?>\s+|<\?.*?\?>|<!--.*?-->|<!DOCTYPE[^\[>]*(?:\[.*?\]\s*)?>)*+"
-"""What may stand before the first element of XML."""
 _JSON = r'(?:\{\s*["}]|\[\s*(?:[\[{"]|\]\s*\Z))'
-
-_CONCEPTNET_API = r'"@id"\s*:\s*"/a/\[|"rel"\s*:\s*\{'
-_JSON_LD = rf'(?={_JSON})(?!.*(?:{_CONCEPTNET_API})).*"@[a-z]+"'
-"""A key of JSON-LD, and none of the edges of ConceptNet's API, which refer to a remote context."""
-
-FORMATS: dict[str, Format] = {
-    "rdfxml": _format(
-        read_rdf,
-        RdfFormat.RDF_XML,
-        ".rdf",
-        ".owl",
-        ".xml",
-        begins=_PROLOG + r"<(\w+:)?RDF\b",
-    ),
-    "graphml": _format(
-        read_with_networkx, "graphml", ".graphml", begins=_PROLOG + r"<graphml\b"
-    ),
-    "gexf": _format(read_with_networkx, "gexf", ".gexf", begins=_PROLOG + r"<gexf\b"),
-    "gml": _format(
-        read_with_networkx,
-        "gml",
-        ".gml",
-        begins=r"(?:(?:Creator|Version|comment|label)\s[^\n]*\n\s*)*graph\s*\[",
-    ),
-    "ofn": _format(read_owl, "ofn", ".ofn", begins=r"(Prefix|Ontology)\("),
-    "omn": _format(read_owl, "omn", ".omn", begins="(Prefix|Ontology):"),
-    "owx": _format(read_owl, "owx", ".owx", begins=_PROLOG + r"<(\w+:)?Ontology\b"),
-    "obo": _format(read_owl, "obo", ".obo", begins="format-version:"),
-    "jsonld": _format(read_rdf, RdfFormat.JSON_LD, ".jsonld", begins=_JSON_LD),
-    "json": Format(
-        read_json_graph,
-        (".json", ".jsonl", ".ndjson", ".hext", ".srj", ".rj"),
-        re.compile(_JSON).match,
-    ),
-    "turtle": _format(
-        read_rdf,
-        RdfFormat.TURTLE,
-        ".ttl",
-        ".turtle",
-        begins=r"(?i:@?(prefix|base))\s[^<\s]*\s*<|\[\s*\]\s*<",
-    ),
-    "ntriples": _format(
-        read_rdf,
-        RdfFormat.N_TRIPLES,
-        ".nt",
-        begins=r"<[^<>\s]*:[^<>\s]*>\s+<[^<>\s]+>\s",
-    ),
-    "nquads": _format(read_rdf, RdfFormat.N_QUADS, ".nq"),
-    "trig": _format(read_rdf, RdfFormat.TRIG, ".trig"),
-    "n3": _format(read_rdf, RdfFormat.N3, ".n3"),
-    "csv": _format(read_table, ",", ".csv"),
-    "tsv": _format(read_table, "\t", ".tsv", ".txt"),
-    "conceptnet": Format(
-        read_conceptnet, recognizes=re.compile(r"/a/[^\t]*\t/r/").match
-    ),
-    "written": Format(read_written, (".md", ".markdown"), looks_written),
-    "folder": Format(lambda folder: read_parts(folder)[0]),
-}
+_FILE = read_toml(Path(__file__).with_name("formats.toml"))
+FORMATS = {name: Format(**fields) for name, fields in _FILE.items()}
 """The formats by name. Content is tried in this order."""
 
-WRITERS: dict[str, Writer] = {
-    ".rdf": partial(write_rdf, syntax=RdfFormat.RDF_XML),
-    ".jsonld": partial(write_rdf, syntax=RdfFormat.JSON_LD),
-    ".ttl": partial(write_rdf, syntax=RdfFormat.TURTLE),
-    ".nt": partial(write_rdf, syntax=RdfFormat.N_TRIPLES),
-    ".csv": partial(write_table, separator=","),
-    ".tsv": partial(write_table, separator="\t"),
-}
-"""Writer by the file's suffix."""
+WRITTEN = (".rdf", ".jsonld", ".ttl", ".nt", *SEPARATORS)
+"""Suffixes of the files that are written."""
 
 _TEXT_RDF = ("turtle", "ntriples", "nquads", "trig", "n3")
 """Formats that the suffix tells apart, for their files may begin alike."""
@@ -196,13 +148,17 @@ def write_graph(graph: KnowledgeGraph, path: str | Path) -> None:
     What follows from axioms is derived again when the file is read.
     """
     path = Path(path)
-    if path.suffix not in WRITERS:
+    if path.suffix not in WRITTEN:
         raise UserError(
-            f"{path}: graphs are written as {', '.join(WRITERS)}, not {path.suffix!r}. "
+            f"{path}: graphs are written as {', '.join(WRITTEN)}, not {path.suffix!r}. "
             f"Give the file one of these suffixes."
         )
     with replacing(path, "Give another path.") as temporary:
-        WRITERS[path.suffix](_to_write(graph), temporary)
+        stated = _to_write(graph)
+        if path.suffix in SEPARATORS:
+            write_table(stated, temporary, SEPARATORS[path.suffix])
+        else:
+            write_rdf(stated, temporary, _syntax(path.suffix))
 
 
 def _to_write(graph: KnowledgeGraph) -> KnowledgeGraph:
