@@ -8,7 +8,7 @@ import numpy as np
 
 from knowarm.knowledge.graph.axioms import Axioms
 from knowarm.knowledge.graph.denials import denial
-from knowarm.knowledge.graph.derivations import Derivations
+from knowarm.knowledge.graph.derivations import Derivations, mixed
 from knowarm.knowledge.graph.graph import Ids, KnowledgeGraph, Names
 from knowarm.knowledge.graph.owl import (
     DENIALS,
@@ -28,7 +28,6 @@ from knowarm.knowledge.graph.rules import (
     MOST_ROUNDS,
     Reasoner,
     TooManyError,
-    mixed,
     steps_of,
 )
 from knowarm.knowledge.graph.terms import RDF, RDFS, local_name
@@ -92,7 +91,7 @@ class _Closure:
         self.ids = dict(zip(self.names, range(len(self.names)), strict=True))
         self._of_entity = self._numbers(graph.names)
         is_literal = np.zeros(len(self.names), bool)
-        is_literal[self._numbers(graph.names.starting_with('"'))] = True
+        is_literal[self._of_entity[graph.names.literals]] = True
         self._is_part = np.zeros(len(self.names), bool)
         structures = graph.names.at(np.unique(graph.heads[self._stated_by(_STRUCTURE)]))
         parts = [name for name in structures if name.startswith("_:")]
@@ -234,18 +233,16 @@ class _Closure:
         """Return whether triples of each relation say something about things, (R,) bool."""
         own = (FRESH, "_:", *_VOCABULARIES)
         relations = self.names[: self._relations]
-        tells = np.zeros(len(relations), bool)
-        for number, name in enumerate(relations):
-            is_own = name.startswith(own)
-            tells[number] = not is_own or name in _SAYS_SOMETHING
-        return tells
+        tells = [not n.startswith(own) or n in _SAYS_SOMETHING for n in relations]
+        return np.array(tells)
 
     def _is_end(self) -> Ids:
         """Return whether each is a thing, a class or a value, and no part of an axiom."""
         is_end = np.zeros(len(self.names), bool)
         is_end[self._of_entity] = True
         for name in _VOCABULARIES:
-            is_end[self._numbers(self.graph.names.starting_with(name))] = False
+            own = self.graph.names.beginning_with(name)
+            is_end[self._of_entity[own]] = False
         return is_end & ~self._is_part
 
     def _contradictions(self, graph: KnowledgeGraph) -> None:
@@ -254,9 +251,9 @@ class _Closure:
         affirming[WORDS["differentFrom"]] = WORDS["sameAs"]
         for name in self.axioms.properties:
             affirming[denial(name)] = name
-        both = list[str]()
+        both = []
         for relation in graph.relation_names.find_all(sorted(affirming)):
-            for triple in graph.rows(np.flatnonzero(graph.relations == relation)):
+            for triple in graph.rows(graph.relations == relation):
                 head, denying, tail = triple
                 stated = (head, affirming[denying], tail)
                 if stated in graph:
@@ -269,7 +266,7 @@ class _Closure:
 
     def _message(self, count: int) -> str:
         """Return what was added and what was not, in one line."""
-        said = list[str]()
+        said = []
         if count:
             said.append(
                 f"{count:,} triples follow from axioms (RDFS, OWL 2) and were added"

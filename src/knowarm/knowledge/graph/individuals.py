@@ -66,7 +66,7 @@ def with_individuals(
     names: Mapping[str, str] = MappingProxyType({}),
 ) -> dict[str, Meant]:
     """Return what objects stand for, as `meant`, by the entities of their names."""
-    individuals: dict[str, set[int]] = {}
+    individuals = {}
     for name, entity in entities.items():
         word = local_name(names.get(name, name))
         individuals[name] = set(individuals_of(graph, word, entity))
@@ -94,11 +94,9 @@ def individuals_of(graph: KnowledgeGraph, word: str, entity: int | None) -> list
         for kind in _subclasses(graph, entity):
             individuals.update(_typed(graph, kind))
     same = best_described(graph, word)
-    key = name_key(word)
-    for individual in graph.names.find_beginning(word):
+    for individual in graph.names.find_numbered(word):
         counted = numbered(local_name(graph.names[individual]))
-        if counted is None or name_key(counted.word) != key:
-            continue
+        assert counted is not None
         is_counted = counted.is_parted or not _has_facts(graph, same)
         is_open = not is_class(graph, individual) and not types_of(graph, individual)
         if graph.has_node(individual) and is_counted and is_open:

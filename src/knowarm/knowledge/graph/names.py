@@ -1,5 +1,6 @@
 """Names of a graph by number, and what they are found by: spellings, last parts and labels."""
 
+import re
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
@@ -15,14 +16,19 @@ from knowarm.knowledge.graph.terms import (
     letters_of,
     local_name,
     name_key,
+    numbered,
 )
 
+_DIGIT = re.compile(r"\d")
 Counts = Callable[[int], bool]
 """Whether an id counts."""
 
 
 class Names(tuple[str, ...]):
     """Sorted distinct names; the id of a name is its rank in the order of code points."""
+
+    def __contains__(self, name: object) -> bool:
+        return isinstance(name, str) and self.find(name) is not None
 
     def find(self, name: str) -> int | None:
         """Return the id of a name, or None: a binary search."""
@@ -39,33 +45,18 @@ class Names(tuple[str, ...]):
         """Return the names of ids."""
         return list(map(self.__getitem__, ids))
 
-    def starting_with(self, begin: str) -> Sequence[str]:
-        """Return the names with a begin: a slice, for names are sorted."""
-        low = bisect_left(self, begin)
-        high = bisect_left(self, begin[:-1] + chr(ord(begin[-1]) + 1))
-        return self[low:high]
+    def beginning_with(self, begin: str) -> range:
+        """Return the ids of the names with a begin, which stand beside each other."""
+        after = begin[:-1] + chr(ord(begin[-1]) + 1)
+        return range(bisect_left(self, begin), bisect_left(self, after))
 
     def find_local(self, local: str) -> list[int]:
         """Return the ids of the names, but for literals, whose `local_name` this is, ascending."""
         return self.by_local[local]
 
-    def find_beginning(self, word: str) -> list[int]:
-        """Return the ids of the names, but for literals, whose last part begins with a word.
-
-        Case and separators make no difference, nor does a bracket.
-        """
-        if word in self._beginning:
-            return self._beginning[word]
-        text, starts = self._letters
-        wanted = f"\0{letters_of(word)}"
-        ids = []
-        start = text.find(wanted)
-        while start >= 0:
-            row = int(np.searchsorted(starts, start))
-            ids.append(self.by_local.ids[row])
-            start = text.find(wanted, start + 1)
-        self._beginning[word] = ids
-        return ids
+    def find_numbered(self, word: str) -> list[int]:
+        """Return the ids of the names that count a word, as "mug_0" does, ascending."""
+        return self._by_word[name_key(word)]
 
     def find_literals(self, text: str) -> list[int]:
         """Return the ids of the literals of this text, in any case, ascending."""
@@ -77,20 +68,15 @@ class Names(tuple[str, ...]):
         local = local_name(name)
         return name if len(self.find_local(local)) > 1 else local
 
-    @cached_property
-    def blank(self) -> frozenset[str]:
-        """The names of blank nodes, which stand beside each other."""
-        return frozenset(self.at(self.blank_ids))
-
-    @cached_property
-    def blank_ids(self) -> range:
+    @property
+    def blank(self) -> range:
         """The ids of blank nodes."""
-        return range(bisect_left(self, "_:"), bisect_left(self, "_;"))
+        return self.beginning_with("_:")
 
     @cached_property
     def literals(self) -> range:
-        """The ids of literals, which stand beside each other."""
-        return range(bisect_left(self, '"'), bisect_left(self, "#"))
+        """The ids of literals."""
+        return self.beginning_with('"')
 
     @cached_property
     def by_local(self) -> "Index":
@@ -102,17 +88,16 @@ class Names(tuple[str, ...]):
         return Index(list(map(local_name, names)), ids)
 
     @cached_property
-    def _beginning(self) -> dict[str, list[int]]:
-        """What `find_beginning` found, by the word."""
-        return {}
-
-    @cached_property
-    def _letters(self) -> tuple[str, np.ndarray]:
-        """The letters of the texts of `by_local`, a zero byte before each, and where, (n,)."""
-        letters = letters_of("\0" + "\0".join(self.by_local.texts))
-        letters = letters.replace("\0<", "\0")  # as of "<mug> (3)"
-        lengths = list(map(len, letters.split("\0")))
-        return letters, np.cumsum(lengths[:-1]) + np.arange(len(lengths) - 1)
+    def _by_word(self) -> "Index":
+        """The ids of the names that end with a number, by the `name_key` of the word."""
+        keys = []
+        ids = []
+        for index, local in zip(self.by_local.ids, self.by_local.texts, strict=True):
+            counted = numbered(local) if _DIGIT.search(local) else None
+            if counted is not None:
+                keys.append(name_key(counted.word))
+                ids.append(index)
+        return Index(keys, ids)
 
     @cached_property
     def _by_text(self) -> "Index":
@@ -238,15 +223,14 @@ class Spellings:
 
     @cached_property
     def _by_key(self) -> Index:
-        ids = list(self.names.by_local.ids)
-        keys = list(map(name_key, self.names.by_local.texts))
-        blank = self.names.blank_ids
-        if blank:  # they stand beside each other
-            begin = bisect_left(ids, blank.start)
-            del ids[begin : begin + len(blank)]
-            del keys[begin : begin + len(blank)]
-        for index, label in self._labelled.items():
-            if index not in blank and index not in self.names.literals:
+        ids = []
+        keys = []
+        blank = self.names.blank
+        literals = self.names.literals
+        by_local = self.names.by_local
+        named = zip(by_local.ids, by_local.texts, strict=True)
+        for index, text in chain(named, self._labelled.items()):
+            if index not in blank and index not in literals:
                 ids.append(index)
-                keys.append(name_key(label))
+                keys.append(name_key(text))
         return Index(keys, ids)
