@@ -29,13 +29,13 @@ HAZARDS = {
 
 def test_the_store_is_made_once_per_graph_and_goes_with_it(monkeypatch):
     made = []
-    build = stores.GraphStore.__init__
+    quads_of = stores._quads
 
-    def noting(self, graph):
+    def noting(graph):
         made.append(len(graph))
-        build(self, graph)
+        return quads_of(graph)
 
-    monkeypatch.setattr(stores.GraphStore, "__init__", noting)
+    monkeypatch.setattr(stores, "_quads", noting)
     graph = graph_of([("mug", "usedFor", "drinking"), ("cup", "isA", "mug")])
     gc.collect()  # of graphs of other tests
     kept = len(stores._STORES)
@@ -80,7 +80,7 @@ def test_what_a_block_states_is_taken_back_after_an_error():
     first = sparql(graph, limited)
 
     def fail(colours):
-        with query.stating("mug", ["hasColor"], colours):
+        with stores.stating(query.store, "mug", ["hasColor"], colours):
             stated = {(colour,) for colour in colours} or set(before)
             assert set(query.answer().rows) == stated
             raise ZeroDivisionError
@@ -99,7 +99,7 @@ def test_threads_do_not_see_what_another_one_states():
 
     def ask(colour):
         query = SparqlQuery(graph, "SELECT ?c { :mug :hasColor ?c }")
-        with query.stating("mug", ["hasColor"], [colour]):
+        with stores.stating(query.store, "mug", ["hasColor"], [colour]):
             inside = [query.answer().rows for _ in range(3)]
         return set(inside)
 

@@ -30,6 +30,7 @@ from knowarm.knowledge.graph.individuals import Meant, classes_of, may_be, meant
 from knowarm.knowledge.graph.names import AmbiguousNameError
 from knowarm.knowledge.graph.terms import local_name, name_key, name_of_iri
 from knowarm.knowledge.queries.sparql import Answer, SparqlQuery, limited
+from knowarm.knowledge.queries.store import stating
 from knowarm.questions import AND, COLOUR_RELATION, ObjectColour
 
 _SPARQL = re.compile(r"\s*(PREFIX|BASE|SELECT|ASK|CONSTRUCT|DESCRIBE)\b", re.IGNORECASE)
@@ -245,7 +246,7 @@ class _Answering:
         """Return a question as it is if it is one in conditions, or plain English as conditions."""
         if _SPARQL.match(text):
             return PlainReading(text)
-        reader = self.reader(text)
+        reader = QuestionReader(text, self.graph, self.colours, self.objects)
         try:
             self._parts[text] = reader.whole(), reader.has_places
             return PlainReading(text)
@@ -277,10 +278,6 @@ class _Answering:
                     known.update(dict.fromkeys([one, *classes_of(self.graph, one)]))
         return list(known)
 
-    def reader(self, text: str) -> QuestionReader:
-        """Return a reader of a question in conditions."""
-        return QuestionReader(text, self.graph, self.colours, self.objects)
-
     @cached_property
     def individuals(self) -> dict[ObjectColour, list[Individual]]:
         """What each facet may be in the graph; none of its entities if it has none."""
@@ -310,7 +307,7 @@ class _Answering:
                 judged = dict(zip(ones, judgements, strict=True))
                 self._parts[text] = judged.__getitem__, False
             else:
-                reader = self.reader(text)
+                reader = QuestionReader(text, self.graph, self.colours, self.objects)
                 self._parts[text] = reader.whole(), reader.has_places
         return self._parts[text]
 
@@ -418,7 +415,7 @@ def _sparql(
         if colour is not None:
             plain = [colour, name_of_iri(own + colour)]
             shown = graph.names.at(graph.alike(colour)) or plain
-        with query.stating(name, relations, shown):
+        with stating(query.store, name, relations, shown):
             return [row for row in _rows(query.run(name)) if row["object"] == name]
 
     def judge(individual: Individual) -> Judgement:

@@ -3,7 +3,6 @@
 import re
 from collections import defaultdict
 from collections.abc import Callable, Iterable
-from contextlib import AbstractContextManager
 from typing import Any, NamedTuple, TypeVar
 from urllib.parse import urljoin
 
@@ -94,7 +93,7 @@ class SparqlQuery:
         self.query = query
         self.graph = graph
         self.prefixes = {**PREFIXES, **graph.prefixes}
-        self._store = store_of(graph)
+        self.store = store_of(graph)
 
     def answer(self, about: str | None = None) -> Answer:
         """Run the query in a process with limits; see `run`.
@@ -113,7 +112,7 @@ class SparqlQuery:
         Raises:
             UserError: the query is malformed.
         """
-        taken = self.graph.names.blank
+        taken = self.graph.names
         made: dict[str, str] = defaultdict(blank_names(taken).__next__)
 
         def name(term: Any) -> str:
@@ -127,12 +126,6 @@ class SparqlQuery:
                 return self._run(name, about)
         except SyntaxError as error:
             raise self._malformed(error) from error
-
-    def stating(
-        self, head: str, relations: Iterable[str], tails: Iterable[str]
-    ) -> AbstractContextManager[None]:
-        """State, in a ``with`` block, that relations lead from a head to these tails alone."""
-        return self._store.stating(head, relations, tails)
 
     @property
     def hint(self) -> str:
@@ -162,7 +155,7 @@ class SparqlQuery:
 
     def _run(self, name: Callable[[Any], str], about: str | None) -> Answer:
         """Run the query; ``name`` gives the terms their names."""
-        result: Any = self._store.store.query(self.query, prefixes=self.prefixes)
+        result: Any = self.store.query(self.query, prefixes=self.prefixes)
         if isinstance(result, QueryTriples):
             builder = GraphBuilder()
             for triple in result:
@@ -182,8 +175,8 @@ class SparqlQuery:
         """Return the IRIs that the query names, and the prefixes that nothing declares."""
         declared = dict(self.prefixes)
         base = ""
-        iris = list[str]()
-        undeclared = list[str]()
+        iris = []
+        undeclared = []
         for token in _NAMES.finditer(self.query):
             prefix = token["prefix"]
             if token["declared"] is not None:
@@ -200,9 +193,9 @@ class SparqlQuery:
 
     def _holds(self, name: str) -> bool:
         """Return whether a name occurs in the graph."""
-        names = self.graph.names.find_all([name])
-        relations = self.graph.relation_names.find_all([name])
-        return bool(names or relations or name in LABEL_RELATIONS)
+        graph = self.graph
+        known = (graph.names, graph.relation_names, LABEL_RELATIONS)
+        return any(name in names for names in known)
 
     def _alike(self, local: str) -> str | None:
         """Return the IRI of the graph's only entity or relation with this last part."""

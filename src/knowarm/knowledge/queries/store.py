@@ -19,39 +19,30 @@ from knowarm.knowledge.graph.terms import (
 )
 
 
-class GraphStore:
-    """The triples and labels of a graph in a store."""
+@contextmanager
+def stating(
+    store: Store, head: str, relations: Iterable[str], tails: Iterable[str]
+) -> Iterator[None]:
+    """State, in a ``with`` block, that relations lead from a head to these tails alone.
 
-    def __init__(self, graph: KnowledgeGraph) -> None:
-        self.store = Store()
-        self.store.bulk_extend(_quads(graph))
-        self.store.bulk_extend(starmap(_quad, graph.label_statements()))
+    Other threads wait for the end of the block, which restores the triples of the graph.
+    """
+    new = list(starmap(_quad, product([head], relations, tails)))
+    with LOCK:
+        old = set[Quad]()
+        for quad in new:
+            old.update(store.quads_for_pattern(quad.subject, quad.predicate, None))
+        try:
+            _replace(store, old, new)
+            yield
+        finally:
+            _replace(store, new, old)
 
-    @contextmanager
-    def stating(
-        self, head: str, relations: Iterable[str], tails: Iterable[str]
-    ) -> Iterator[None]:
-        """State, in a ``with`` block, that relations lead from a head to these tails alone.
 
-        Other threads wait for the end of the block, which restores the triples of the graph.
-        """
-        new = list(starmap(_quad, product([head], relations, tails)))
-        with LOCK:
-            old = set[Quad]()
-            for quad in new:
-                old.update(
-                    self.store.quads_for_pattern(quad.subject, quad.predicate, None)
-                )
-            try:
-                self._replace(old, new)
-                yield
-            finally:
-                self._replace(new, old)
-
-    def _replace(self, old: Iterable[Quad], new: Iterable[Quad]) -> None:
-        for quad in old:
-            self.store.remove(quad)
-        self.store.extend(new)
+def _replace(store: Store, old: Iterable[Quad], new: Iterable[Quad]) -> None:
+    for quad in old:
+        store.remove(quad)
+    store.extend(new)
 
 
 LOCK = RLock()
@@ -62,16 +53,18 @@ if hasattr(os, "register_at_fork"):
         after_in_parent=LOCK.release,
         after_in_child=LOCK.release,
     )
-_STORES: dict[int, GraphStore] = {}
+_STORES: dict[int, Store] = {}
 """Stores by the identity of their graph, while it exists."""
 
 
-def store_of(graph: KnowledgeGraph) -> GraphStore:
-    """Return the store of a graph, which is made once."""
+def store_of(graph: KnowledgeGraph) -> Store:
+    """Return the store of the triples and labels of a graph, which is made once."""
     key = id(graph)
     with LOCK:
         if key not in _STORES:
-            _STORES[key] = GraphStore(graph)
+            store = _STORES[key] = Store()
+            store.bulk_extend(_quads(graph))
+            store.bulk_extend(starmap(_quad, graph.label_statements()))
             weakref.finalize(graph, _STORES.pop, key)
         return _STORES[key]
 
