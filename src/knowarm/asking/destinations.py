@@ -3,27 +3,8 @@
 import re
 from typing import NamedTuple
 
-from knowarm.asking.lexicon import WORDS, what_is_put
+from knowarm.asking.lexicon import PUTTING, what_is_put
 
-_PUT = "|".join(sorted(WORDS.puts | WORDS.carries))
-_BRING = "|".join(sorted(WORDS.brings))
-_WHAT = "(?P<what>.+)"  # up to the last preposition
-_TO = "(?:on ?to|in ?to|to)"
-_AT = f"(?:{_TO}|on|in|at|upon|inside)"
-_THE = "(?:(?:the|my|our) )?"
-_WHERE = r"(?P<where>(?!(?:the|an?|my|our|any)\b)\w[\w -]*?)"
-_OF = "(?:of|for|in|called|named|(?:that|which) (?:is|stands for))"
-_FORMS = (
-    (f"(?:(?:{_PUT}|{_BRING}) )?{_WHAT} {_AT} the tray {_OF} {_THE}{_WHERE}", True),
-    (f"(?:(?:{_PUT}|{_BRING}) )?{_WHAT} {_AT} {_THE}{_WHERE}(?:['’]s?)? tray", True),
-    (f"(?:{_PUT}) {_WHAT} {_AT} {_THE}{_WHERE}", True),
-    (f"(?:{_BRING}) {_WHAT} {_TO} {_THE}{_WHERE}", False),
-)
-_ASKING = "(?:please |could you |can you |would you )*"
-_SENTENCES = [
-    (re.compile(rf"{_ASKING}{form}(?:,? please)?\W*", re.IGNORECASE), is_sure)
-    for form, is_sure in _FORMS
-]
 _BEHIND_WHAT = re.compile(r" (?:back|away|over|down|up)$", re.IGNORECASE)
 
 
@@ -43,9 +24,9 @@ def read_destination(text: str) -> Destination | None:
     text = text.strip()
     if what_is_put(text) != text:  # where it belongs
         return None
-    for sentence, is_sure in _SENTENCES:
-        said = sentence.fullmatch(text)
+    for form in (*PUTTING["sure"], *PUTTING["may_ask"]):
+        said = re.fullmatch(form.format(**PUTTING["parts"]), text, re.IGNORECASE)
         if said is not None:
             what = _BEHIND_WHAT.sub("", said["what"])
-            return Destination(what, said["where"], is_sure)
+            return Destination(what, said["where"], form in PUTTING["sure"])
     return None

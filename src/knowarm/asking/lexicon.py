@@ -2,7 +2,6 @@
 
 import lzma
 import re
-import tomllib
 import unicodedata
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
@@ -16,6 +15,7 @@ from knowarm.errors import UserError
 from knowarm.knowledge.graph.homonyms import PLACES
 from knowarm.knowledge.graph.terms import name_key
 from knowarm.knowledge.vectors.words import DATA, word_forms
+from knowarm.reading import read_toml
 
 MOST_LETTERS = 2_000
 """Most letters of a question."""
@@ -25,7 +25,7 @@ SYNONYM = 1.0
 """Distances of two words; 0 is the same word, in singular or plural."""
 NUMBER = r"\d+(?:\.\d+)?(?:-\d\d-\d\d)?"
 """Pattern of numbers and dates."""
-_ENGLISH = tomllib.loads((Path(__file__).parent / "english.toml").read_text("utf-8"))
+_ENGLISH = read_toml(Path(__file__).with_name("english.toml"))
 Words = Sequence[str]
 WORDS = SimpleNamespace(
     **{function: frozenset(words) for function, words in _ENGLISH["words"].items()}
@@ -39,15 +39,8 @@ BESIDE: dict[str, str] = _ENGLISH["beside"]
 """Conditions of the place beside another object, by word."""
 UNANSWERED = re.compile("|".join(_ENGLISH["unanswered"]["asks"]))
 """Questions that ask for no object."""
-_PUTTING = re.compile(
-    r"^(?:please |could you |can you )*(?:"
-    r"(?:{puts}) (?:up|away|back) (?P<early>.+?)(?: (?:{put_where}))*"
-    r"|(?:{puts}) (?P<late>.+?)(?: (?:{put_where}))+)\W*$".format(
-        puts="|".join(_ENGLISH["words"]["puts"]),
-        put_where="|".join(_ENGLISH["words"]["put_where"]),
-    ),
-    re.IGNORECASE,
-)
+PUTTING = _ENGLISH["putting"]
+"""Patterns of sentences about what is put somewhere, and their parts; the file says which."""
 _ADJECTIVE = re.compile(
     r"(?:able|ible|ous|ful|less|ive|ic|al|ish|(?<![tgcrl])y|ed|ing|proof)$"
 )
@@ -94,7 +87,8 @@ def sentences(text: str) -> list[str]:
 
 def what_is_put(sentence: str) -> str:
     """Return "the mug" of "put the mug where it belongs"; other sentences as they are."""
-    putting = _PUTTING.match(sentence)
+    home = PUTTING["home"].format(**PUTTING["parts"])
+    putting = re.match(home, sentence, re.IGNORECASE)
     if putting is None:
         return sentence
     return putting["early"] or putting["late"]
