@@ -9,7 +9,7 @@ from http.server import HTTPServer, ThreadingHTTPServer
 from operator import methodcaller
 from pathlib import Path
 from typing import Any, NamedTuple
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qsl, urlsplit
 
 import numpy as np
 
@@ -212,22 +212,22 @@ def make_server(
                 self.send_error(404)
                 return
             with answering:
-                body = answer(parse_qs(url.query, keep_blank_values=True)).encode()
+                pairs = parse_qsl(url.query, keep_blank_values=True)
+                body = answer({name: text.strip() for name, text in pairs}).encode()
             self.send_response(200)
             self.send_header("Content-Type", "text/html; charset=utf-8")
             self.send_header("Content-Length", str(len(body)))
             self.end_headers()
             self.wfile.write(body)
 
-        def _page(self, fields: dict[str, list[str]]) -> str:
+        def _page(self, fields: dict[str, str]) -> str:
             text = question
             lines = edits
             number = scene
             if fields:
-                text, typed, wanted = (
-                    fields.get(name, [""])[0].strip() for name in ("q", "edit", "scene")
-                )
-                lines = _lines(typed)
+                text = fields.get("q", "")
+                lines = _lines(fields.get("edit", ""))
+                wanted = fields.get("scene", "")
                 number = None
                 if wanted.isdecimal() and len(wanted) < 10:
                     number = int(wanted)
@@ -240,9 +240,9 @@ def make_server(
                 problem = str(error)
             return page(asked, text, lines, asker=asker, scene=number, problem=problem)
 
-        def _tidy_page(self, fields: dict[str, list[str]]) -> str:
+        def _tidy_page(self, fields: dict[str, str]) -> str:
             names = ("scene", "edit", "after")
-            form = {name: fields.get(name, [""])[0].strip() for name in names}
+            form = {name: fields.get(name, "") for name in names}
             story = Story()
             problem = ""
             if fields:
