@@ -1,5 +1,7 @@
 """What derived triples of a graph follow from."""
 
+from collections.abc import Iterable
+
 import numpy as np
 
 Ids = np.ndarray
@@ -50,5 +52,16 @@ class Derivations:
         return sorted(reasons, key=lambda reason: reason[0] != triple[0])
 
     def _keys(self, triples: Ids) -> Ids:
-        heads, relations, tails = triples.T.astype(np.int64)
-        return (relations * self._size + heads) * self._size + tails
+        heads, relations, tails = triples.T
+        return mixed([relations, heads, tails], self._size)
+
+
+def mixed(columns: Iterable[Ids], size: int, count: int = 1) -> Ids:
+    """Return one number for the ids below ``size`` of several columns, (n,) int64.
+
+    Of no columns these are ``count`` zeros.
+    """
+    keys = np.zeros(count, np.int64)
+    for column in columns:
+        keys = keys * size + column
+    return keys

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from knowarm.knowledge.graph.graph import Ids
+from knowarm.knowledge.graph.derivations import Ids, mixed
 
 MOST = 5_000_000
 """Most triples that may follow, and most rows of a join."""
@@ -58,11 +58,11 @@ def read_rules(text: str) -> list[Rule]:
     An atom in brackets, ``[?c subClassOf ?d]``, holds of single steps: of what does not follow by a
     rule with brackets.
     """
-    rules = list[Rule]()
+    rules = []
     for line in filter(None, map(str.strip, text.splitlines())):
         left, _, right = line.partition(" -> ")
         single = None
-        body = list[_Atom]()
+        body = []
         for text_of_atom in left.split(", "):
             atom = _atom(text_of_atom.strip("[]"))
             body.append(atom)
@@ -285,7 +285,7 @@ class Reasoner:
         new = list(self.batches)
         orders = 1  # all is new, so that one order of the atoms finds everything
         for _ in range(MOST_ROUNDS):
-            results = list[Table]()
+            results = []
             for rule in rules:
                 starts = range(len(rule.body))
                 for start in starts[:orders]:
@@ -320,7 +320,7 @@ class Reasoner:
 
     def _bound(self, table: Table, atom: _Atom) -> dict[str, Ids]:
         """Return what is known of the columns of an atom, each (n,) int."""
-        columns = dict[str, Ids]()
+        columns = {}
         for column, term in zip(COLUMNS, atom, strict=True):
             if term in table:
                 columns[column] = table[term]
@@ -333,7 +333,7 @@ class Reasoner:
         """Return the relations that axioms allow, by variable, as far as they restrict it."""
         if rule in self._allowed:
             return self._allowed[rule]
-        allowed = dict[str, tuple[int, ...]]()
+        allowed = {}
         relations = set(map(itemgetter(1), rule.body))
         for atom in rule.body:
             if atom[1].startswith("?"):
@@ -354,7 +354,7 @@ class Reasoner:
         """Return the rows of a table with all steps that agree with an atom of a rule."""
         bound = self._bound(table, atom)
         relations = self._relations_of(rule).get(atom[1])
-        tables = list[Table]()
+        tables = []
         for batch in batches:
             part = batch.part(relations, only_single=atom == rule.single)
             rows, places = part.match(bound, self._most_rows)
@@ -391,14 +391,3 @@ class Reasoner:
 
     def _keys(self, steps: Table) -> Ids:
         return mixed(map(steps.__getitem__, _ORDER), self._size)
-
-
-def mixed(columns: Iterable[Ids], size: int, count: int = 1) -> Ids:
-    """Return one number for the ids below ``size`` of several columns, (n,) int64.
-
-    Of no columns these are ``count`` zeros.
-    """
-    keys = np.zeros(count, np.int64)
-    for column in columns:
-        keys = keys * size + column
-    return keys

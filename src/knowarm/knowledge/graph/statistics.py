@@ -1,6 +1,6 @@
 """Graph statistics: sizes, hubs, cycles and ambiguous labels."""
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from typing import NamedTuple
 
 import numpy as np
@@ -47,21 +47,19 @@ def graph_statistics(graph: KnowledgeGraph) -> GraphStatistics:
     degree = np.bincount(ends, minlength=len(graph.names))[nodes]
     hubs = np.argsort(-degree, kind="stable")[:MOST]
     component = _components(graph, graph.heads, graph.tails, "weak")
-    relations, counts = np.unique(graph.relations, return_counts=True)
-    by_count = np.argsort(-counts, kind="stable")
+    by_relation = Counter(graph.relation_names.at(np.sort(graph.relations)))
     names_by_label: dict[str, list[str]] = defaultdict(list)
     if graph.labels:
         for name in graph.entities:
             names_by_label[label_of(name, graph.labels)].append(local_name(name))
-    shared = list[tuple[str, tuple[str, ...]]]()
+    shared = []
     for label, names in sorted(names_by_label.items()):
         if len(names) > 1:
             shared.append((label, tuple(names)))
-    names_by_count = graph.relation_names.at(relations[by_count])
     return GraphStatistics(
         triples=len(graph),
         entities=len(nodes),
-        relations=len(relations),
+        relations=len(by_relation),
         labelled=len(graph.own_labels().keys() & graph.names),
         alone=int((degree == 0).sum()),
         components=len(np.unique(component[nodes])),
@@ -69,7 +67,7 @@ def graph_statistics(graph: KnowledgeGraph) -> GraphStatistics:
         hubs=tuple(
             zip(graph.names.at(nodes[hubs]), degree[hubs].tolist(), strict=True)
         ),
-        by_relation=dict(zip(names_by_count, counts[by_count].tolist(), strict=True)),
+        by_relation=dict(by_relation.most_common()),
         cycles=_cycles(graph),
         same_labels=dict(shared[:MOST]),
     )
@@ -86,7 +84,7 @@ def _cycles(graph: KnowledgeGraph) -> tuple[_Cycle, ...]:
     """Find entities that reach each other along a relation that is not mostly symmetric."""
     size = len(graph.names)
     triples = graph.triples
-    cycles = list[_Cycle]()
+    cycles = []
     for relation in np.unique(graph.relations):
         edges = triples[graph.relations == relation]
         heads, _, tails = edges.T
