@@ -51,7 +51,7 @@ def read_plain(text: str, vocabulary: Vocabulary, holders: Holders) -> PlainRead
         UserError: the question is not understood, or can be understood in several ways.
     """
     conditions: list[ReadCondition] = []
-    left_out: list[str] = []
+    left_out = []
     error = None
     for sentence in sentences(text):
         words = tokens(what_is_put(sentence))

@@ -364,9 +364,9 @@ def _subproperties(graph: KnowledgeGraph) -> tuple[set[str], set[str]]:
     broad = set()
     names = graph.relation_names
     subproperty = names.find(RDFS + "subPropertyOf")
-    for row in np.flatnonzero(graph.relations == subproperty).tolist():
-        head = names.find(graph.names[graph.heads[row]])
-        tail = names.find(graph.names[graph.tails[row]])
+    for triple in graph.rows(graph.relations == subproperty):
+        head = names.find(triple[0])
+        tail = names.find(triple[2])
         if head is not None and tail is not None and head != tail:
             narrow.add(names.short(head))
             broad.add(names.short(tail))

@@ -83,7 +83,7 @@ def draw_svg(graph: KnowledgeGraph, roots: Sequence[str] = (), title: str = "") 
             f"The graph has {len(graph.nodes):,} entities; a drawing holds at most "
             f"{MAX_ENTITIES}. Select a part by objects, fewer hops or some relations."
         )
-    facts = list[_Fact]()
+    facts = []
     for head, relation, tail in graph.triples.tolist():
         words = label_of(graph.relation_names[relation], graph.labels)
         facts.append((head, words, tail))
@@ -117,7 +117,7 @@ def draw_svg(graph: KnowledgeGraph, roots: Sequence[str] = (), title: str = "") 
         markup.append(
             label(middle, box.y + 15.5, box.label, text_anchor="middle", fill=ink)
         )
-    spoken = list[str]()
+    spoken = []
     for head, words, tail in facts[:SPOKEN]:
         spoken.append(f"{boxes[head].label} {words} {boxes[tail].label}")
     description = f"{len(graph)} facts: {'; '.join(spoken)}"
@@ -185,7 +185,7 @@ def _headings(boxes: _Boxes, beside: _Neighbours) -> list[str]:
         heights = [other.y for other in neighbours if other.column < box.column]
         return box.group, math.fsum(heights) / max(len(heights), 1), box.label
 
-    headings = list[str]()
+    headings = []
     x = 24.0
     tallest = 0.0
     for _, entities in sorted(columns.items()):

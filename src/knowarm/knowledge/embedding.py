@@ -138,7 +138,7 @@ class SceneEmbedding(Embedding):
         """Return the knowledge input of the policy for each facet, (F, K) float32."""
         if self.scope == "scene":
             return np.tile(self.vector, (len(facets), 1))
-        rows = list[int]()
+        rows = []
         for name, colour in facets:
             wanted = Facet(name, None if self.config.detail == "partial" else colour)
             if wanted not in self.slots:
@@ -332,7 +332,7 @@ def _vectors(
         if len(set(described.values)) > 1:  # a colour less itself would be nothing
             value_centre = _centre(lookup, described.values)
     share = config.colour_share
-    rows = list[Vectors]()
+    rows = []
     for sentence, value, rest in described.slots:
         labels = sentence if share is None else rest
         found = [lookup.find(part, coverage) for part in labels]

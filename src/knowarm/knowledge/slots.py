@@ -46,11 +46,11 @@ def facet_subgraphs(
     """
     source = config.source
     graph = source.change_graph(graph, seed)
-    named = list[Facet]()
+    named = []
     for name, colour, _ in facets:
         colour = colour and config.graph_name(colour)
         named.append(Facet(config.graph_name(name), colour))
-    subgraphs = list[_Subgraph]()
+    subgraphs = []
     for facet in source.change_facets(named, graph, config.colour_relation, seed):
         around = _around(graph, facet.object, config)
         subgraphs.append(facet_subgraph(around, facet, config.colour_relation))
@@ -67,7 +67,7 @@ def describe_facets(
         rows = graph.relations == graph.relation_id(config.colour_relation)
         names = graph.names.at(np.unique(graph.tails[rows]))
         colours = [entity_part(graph, name) for name in names]
-    slots = list[SlotLabels]()
+    slots = []
     for subgraph, colour in subgraphs:
         labels = _labels_of_slot(sentence_parts(subgraph, config), colour)
         if labels.value is not None and any(h == t == colour for h, _, t in subgraph):
@@ -96,7 +96,7 @@ def describe_conditions(
             "from."
         )
     graph = config.source.change_graph(graph, seed)
-    slots = list[SlotLabels]()
+    slots = []
     values = Sentence()
     for condition in config.source.change_conditions(conditions):
         value = _entity(graph, condition, config) or condition.value
@@ -201,7 +201,7 @@ def facet_subgraph(
         row = _colour_row(around, np.flatnonzero(colours), facet, facet.colour)
         kept[row] = True
         colour = around.names[around.tails[row]]
-    return around.rows(np.flatnonzero(kept), nodes=np.array([entity])), colour
+    return around.rows(kept, nodes=np.array([entity])), colour
 
 
 def _colour_row(
@@ -312,7 +312,7 @@ def _subgraphs(
         return graph, {}
     seed = config.source.draw_seed(config.seed, run_seed)
     graph, subgraphs = facet_subgraphs(slots, graph, config, seed)
-    by_name = dict[str, KnowledgeGraph]()
+    by_name = {}
     for slot, (subgraph, _) in zip(slots, subgraphs, strict=True):
         by_name[slot.name] = subgraph
     return graph, by_name

@@ -83,7 +83,8 @@ def _written_rows(path: Path) -> Iterator[Row]:
     lines = list(text_lines(path))
     following = list(map(itemgetter(1), lines))
     has_rule = any(map(_is_rule, following))
-    has_brackets = any(map(_has_brackets, following))
+    # Also without their bullets
+    has_brackets = any(_triples_of_line(line, has_brackets=True) for line in following)
     prose = []
     header: Cells = []
     count = 0
@@ -157,11 +158,6 @@ def _is_cut(line: str) -> bool:
     """Return whether a bracket opens a line and is not closed."""
     text = line.strip()
     return text.startswith(tuple(_PAIRS)) and "," in text and _closing(text) < 0
-
-
-def _has_brackets(line: str) -> bool:
-    """Return whether a line has a triple that is set off, also without its bullet."""
-    return bool(_triples_of_line(line, has_brackets=True))
 
 
 def _is_rule(line: str) -> bool:

@@ -149,7 +149,7 @@ class Axioms:
     def _of_type(self, word: str) -> dict[str, int]:
         """Return the rows that state what is of a type of OWL, by its name."""
         graph = self.graph
-        rows = dict[str, int]()
+        rows = {}
         for entity in graph.names.find_all([WORDS[word]]):
             for row in graph.in_rows(entity).tolist():
                 if graph.relation_names[graph.relations[row]] == WORDS["type"]:

@@ -72,13 +72,13 @@ class GraphBuilder:
         triples = np.frombuffer(self.ids, np.int32).reshape(-1, 3).copy()
         triples[:, ::2] = entity_ids[triples[:, ::2]]
         triples[:, 1] = relation_ids[triples[:, 1]]
-        texts = dict[str, str]()
+        texts = {}
         # Of names that become equal, the label of the lowest rank comes last and stays.
         ranked = sorted(self._labels.items(), key=itemgetter(1), reverse=True)
         for name, (_, text) in ranked:
             texts[new_name(name)] = text
         texts.update(labels or {})
-        confidence = dict[Triple, float]()
+        confidence = {}
         for (head, relation, tail), probability in self.confidence.items():
             if probability < 1:
                 triple = (new_name(head), new_name(relation), new_name(tail))
@@ -178,11 +178,11 @@ def merged(first: KnowledgeGraph, second: KnowledgeGraph) -> KnowledgeGraph:
         head, relation, tail = triple
         return new_names[head], relation, new_names[tail]
 
-    confidence = dict[Triple, float]()
+    confidence = {}
     for triple, probability in second.own_confidence().items():
         if renamed(triple) not in first:
             confidence[renamed(triple)] = probability
-    labels = dict[str, str]()
+    labels = {}
     for name, text in second.own_labels().items():
         labels[new_names.get(name, name)] = text
     both = graph_of(
@@ -202,8 +202,8 @@ def difference(first: KnowledgeGraph, second: KnowledgeGraph) -> KnowledgeGraph:
     """
     first = first.stated()
     excluded = set(second)
-    kept = [triple not in excluded for triple in first]
-    return closed(first.rows(np.flatnonzero(kept))).graph
+    kept = np.array([triple not in excluded for triple in first], bool)
+    return closed(first.rows(kept)).graph
 
 
 def shuffle_tails(graph: KnowledgeGraph, seed: int) -> KnowledgeGraph:

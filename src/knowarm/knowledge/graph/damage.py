@@ -79,7 +79,7 @@ def _swapped(graph: KnowledgeGraph, rng: Generator, about: Ids, count: int) -> I
     triples = graph.triples
     relations = graph.relations[about]
     tails = graph.tails[about]
-    pairs = list[tuple[int, int, int]]()
+    pairs = []
     for relation in np.unique(relations):
         values = rng.permutation(np.unique(tails[relations == relation]))
         for first, second in zip(values[::2], values[1::2], strict=False):

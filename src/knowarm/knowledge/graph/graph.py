@@ -1,7 +1,7 @@
 """Knowledge graph: triples as sorted integer arrays with fast neighbour lookup, and gamma."""
 
 import copy
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from itertools import chain
 from typing import Literal, get_args
@@ -238,7 +238,7 @@ class KnowledgeGraph:
         if self.derivations is None:
             return self
         is_derived = self.derivations.is_derived(self.triples)
-        graph = self.rows(np.flatnonzero(~is_derived), nodes=self.nodes)
+        graph = self.rows(~is_derived, nodes=self.nodes)
         graph.derivations = None
         return graph
 
@@ -275,7 +275,7 @@ class KnowledgeGraph:
         return self.believed(rows[np.isin(self.relations[rows], relations)])
 
     def rows(self, rows: Ids, nodes: Ids = _NO_NODES) -> "KnowledgeGraph":
-        """Return the triples of rows (k,) int, ascending, and nodes (m,) int32 without triples."""
+        """Return the triples of rows, (k,) int ascending or (n,) bool, and nodes (m,) without."""
         subgraph = copy.copy(self)
         for cached in ("nodes", "by_tail", "tails_sorted"):
             subgraph.__dict__.pop(cached, None)
@@ -403,7 +403,7 @@ def gamma(
     if relations is not None:
         allowed = list(map(graph.relation_id, relations))
     # The edges of an entity, and what is at their other ends
-    sides = list[tuple[Callable[[int], Ids], Ids]]()
+    sides = []
     if direction != "in":
         sides.append((graph.out_rows, graph.tails))
     if direction != "out":

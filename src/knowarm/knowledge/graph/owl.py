@@ -33,7 +33,7 @@ NAMESPACES = {
 
 
 def _words() -> dict[str, str]:
-    names = dict[str, str]()
+    names = {}
     for namespace, words in NAMESPACES.items():
         for word in words.split():
             names[word] = namespace + word

@@ -128,7 +128,7 @@ def train(
         order = Generator().manual_seed(config.seed + 1)
         negatives = Generator().manual_seed(config.seed + 2)
         queries = _Queries.of(both_ways(triples, relations))
-        losses: list[float] = []
+        losses = []
         evaluations: list[tuple[int, float]] = []
         best_epoch = 0
         best_state = deepcopy(model.state_dict())

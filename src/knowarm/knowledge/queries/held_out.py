@@ -106,7 +106,7 @@ class HeldOutQuestions:
         spared: _Names,
     ) -> _Names:
         """Draw objects or kinds such that each condition keeps half of them or more."""
-        shared = list[_Names]()  # objects or kinds of each condition
+        shared = []  # objects or kinds of each condition
         for condition in self.facts:
             holders = {n if n in names else kind_of(n) for n in self.holders[condition]}
             if len(holders) > 1:
@@ -181,7 +181,7 @@ class HeldOutQuestions:
                 continue
             if len(member_kinds) < 2:
                 continue
-            free = list[str]()
+            free = []
             for kind in member_kinds:
                 keeps_fact = condition.is_seen or facts_of[kind] > 1
                 if (condition, kind) in spared:
@@ -301,7 +301,7 @@ def draw_edits(held: HeldOutQuestions, rng: Generator) -> KnowledgeGraph:
     """
     graph = held.asked.graph
     spared = set[Condition]().union(*[draw.swapped for draw in held.earlier])
-    free = list[Condition]()
+    free = []
     for condition in held.facts:
         if condition in spared:
             continue

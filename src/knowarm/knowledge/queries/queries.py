@@ -42,7 +42,7 @@ Pairs = Literal["none", "colour", "all"]
 
 def parse_query(text: str) -> Query:
     """Read a query from its name, e.g. "usedFor drinking and hasColor blue"."""
-    conditions = list[tuple[str, str]]()
+    conditions = []
     for part in text.split(AND):
         relation, _, value = part.strip().partition(" ")
         if value:
@@ -135,7 +135,7 @@ class QueryGraph:
         """
         if pairs not in get_args(Pairs):
             raise unknown_name("value of pairs", pairs, get_args(Pairs))
-        rows = dict[Condition, Mask]()
+        rows = {}
         for condition in self.conditions:
             row = self._holders(condition) >= SURE
             if not row.all():

@@ -17,7 +17,6 @@ from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.queries.held_out import HeldOutQuestions, draw_edits
 from knowarm.knowledge.queries.queries import Pairs, QueryGraph
 from knowarm.questions import (
-    Condition,
     ObjectColour,
     Query,
     QuestionTable,
@@ -139,7 +138,7 @@ def query_splits(
         tables["S5"] = maker.edited_table(edited)
     except UserError as error:
         reasons["S5"] = str(error)
-    tests = dict[str, QuestionTable]()
+    tests = {}
     for name, table in tables.items():
         if table is not None:
             tests[name] = table
@@ -195,7 +194,7 @@ class _Maker:
         self.objects = objects
         self.queries = asked.queries(pairs)
         self.satisfies = asked.answers(self.queries)
-        holders = dict[Condition, list[str]]()
+        holders = {}
         for query, row in zip(self.queries, self.satisfies, strict=True):
             if len(query.conditions) == 1:
                 names = {asked.objects[number] for number in asked.owner[row]}

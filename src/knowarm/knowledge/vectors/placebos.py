@@ -193,7 +193,7 @@ class WrongObject(DrawnPlacebo):
 
 def _number_colours(facets: Sequence[Facet]) -> list[Facet]:
     """Number the colours of each object in the order of its facets."""
-    numbered = list[Facet]()
+    numbered = []
     colours = Counter[str]()
     for facet in facets:
         numbered.append(facet._replace(colour_number=colours[facet.object]))

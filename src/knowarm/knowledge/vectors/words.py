@@ -128,7 +128,7 @@ def read_word_vectors(path: Path, wanted: Collection[str] | None = None) -> Word
     sample = [line for _, line in beginning[header:]]
     dim = _dimension(sample, path, header)
     vectors: dict[str, Vectors] = {}
-    ranks: list[int] = []
+    ranks = []
     count = 0
     for number, line in chain(beginning, lines):
         if line.count(b" ") != dim:
@@ -195,7 +195,7 @@ def _parse(numbers: list[bytes]) -> Vectors:
 
 def _median_length(lines: list[bytes], dim: int) -> float:
     """Return the median length of the vectors of some lines; 1 if none of them holds one."""
-    lengths = list[float]()
+    lengths = []
     for line in lines:
         numbers = line.rstrip(b" ").rsplit(b" ", dim)[1:]
         length = float(np.linalg.norm(_parse(numbers)))
@@ -321,7 +321,7 @@ class WordLookup:
 
     def _word_by_word(self, words: list[str]) -> _Rows:
         rows = list[int]()
-        missing = list[str]()
+        missing = []
         kind = "words"
         for word in words:
             itself = self._known([word])
