@@ -1,7 +1,6 @@
 """Columns of tables and keys of records: which hold head, relation and tail of a triple."""
 
 import re
-import tomllib
 import unicodedata
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
@@ -14,8 +13,9 @@ from urllib.parse import quote
 
 from knowarm.errors import UserError
 from knowarm.knowledge.graph.terms import NAMESPACE, is_iri, name_of_iri, parse_literal
+from knowarm.reading import read_toml
 
-NAMES = tomllib.loads(Path(__file__).with_name("columns.toml").read_text("utf-8"))
+NAMES = read_toml(Path(__file__).with_name("columns.toml"))
 """Names of columns, of which the file tells."""
 PAIRS: tuple[tuple[str, str], ...] = tuple(map(tuple, NAMES["pairs"]))
 """Names of head and tail that stand beside each other, the surest first."""

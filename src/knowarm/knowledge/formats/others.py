@@ -1,12 +1,12 @@
 """Formats of graphs that are not read, by name, with the way to one that is."""
 
 import re
-import tomllib
 from pathlib import Path
 from typing import NamedTuple
 
 from knowarm.errors import UserError
 from knowarm.knowledge.formats.files import python, quoted
+from knowarm.reading import read_toml
 
 
 class Other(NamedTuple):
@@ -19,7 +19,7 @@ class Other(NamedTuple):
     begins: str = r"(?!)"
 
 
-_FILE = tomllib.loads(Path(__file__).with_name("others.toml").read_text("utf-8"))
+_FILE = read_toml(Path(__file__).with_name("others.toml"))
 OTHERS = {name: Other(**fields) for name, fields in _FILE.items()}
 """Formats by what they are called."""
 

@@ -4,7 +4,6 @@ A triple of such a relation denies the fact of the relation without the negation
 """
 
 import re
-import tomllib
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -22,8 +21,9 @@ from knowarm.knowledge.graph.terms import (
     local_name,
     name_key,
 )
+from knowarm.reading import read_toml
 
-_ENGLISH = tomllib.loads(Path(__file__).with_name("negation.toml").read_text("utf-8"))
+_ENGLISH = read_toml(Path(__file__).with_name("negation.toml"))
 _NEGATIONS = frozenset[str](_ENGLISH["negations"])
 _LACKING = frozenset[str](_ENGLISH["lacking"])
 _OPPOSING = frozenset[str](_ENGLISH["opposing"])
@@ -103,7 +103,7 @@ def without_derived(graph: KnowledgeGraph) -> KnowledgeGraph:
     is_denial = np.isin(graph.relations, denying)
     is_denial &= graph.derivations.is_derived(graph.triples)
     nodes = np.setdiff1d(graph.nodes, graph.tails[is_denial])
-    return graph.rows(np.flatnonzero(~is_denial), nodes)
+    return graph.rows(~is_denial, nodes)
 
 
 @lru_cache(maxsize=100_000)

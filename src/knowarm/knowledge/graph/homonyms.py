@@ -5,7 +5,6 @@ the class is meant, or else the one about which more is stated. A `DataWarning` 
 """
 
 import re
-import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
@@ -21,8 +20,9 @@ from knowarm.knowledge.graph.terms import (
     name_key,
     numbered,
 )
+from knowarm.reading import read_toml
 
-_KINDS = tomllib.loads(Path(__file__).with_name("kinds.toml").read_text("utf-8"))
+_KINDS = read_toml(Path(__file__).with_name("kinds.toml"))
 """Last words of classes, of which the file tells; and relations of places."""
 PLACES: str = _KINDS["places"]
 """Pattern of the names of relations that say where something is."""
