@@ -206,7 +206,7 @@ def test_trust_in_a_robot_ends_with_a_change_of_any_of_its_files(run, tmp_path, 
     trust([str(robot)])
 
 
-@pytest.mark.parametrize("kind", ["height field", "second folder"])
+@pytest.mark.parametrize("kind", ["height field", "second folder", "attached"])
 def test_trust_ends_with_a_change_of_a_file_that_mujoco_does_not_list(
     run, tmp_path, kind
 ):
@@ -222,6 +222,16 @@ def test_trust_ends_with_a_change_of_a_file_that_mujoco_does_not_list(
         opened = folders[1] / "terrain.png"
         Image.fromarray(np.arange(64, dtype=np.uint8).reshape(8, 8)).save(opened)
         asset = '<hfield name="t" file="terrain.png" size="1 1 1 1"/>'
+    elif kind == "attached":
+        opened = folders[1] / "other" / "terrain.png"
+        opened.parent.mkdir()
+        Image.fromarray(np.arange(64, dtype=np.uint8).reshape(8, 8)).save(opened)
+        shutil.copy(opened, folders[1])  # where MuJoCo lists it
+        text = """<mujoco><compiler meshdir="other"/><asset><hfield name="t"
+          file="terrain.png" size="1 1 1 1"/></asset><worldbody/></mujoco>"""
+        (folders[1] / "field.xml").write_text(text)
+        compilers = ""
+        asset = '<model name="t" file="last/field.xml"/>'
     else:
         opened = folders[1] / "pad.obj"
         for folder in folders:

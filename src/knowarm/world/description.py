@@ -4,6 +4,7 @@ import importlib.util
 import json
 import os
 import re
+from codecs import BOM_UTF8
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from functools import cache
@@ -155,16 +156,24 @@ def _files_of(mjcf: Path) -> list[Path]:
     import mujoco  # most who read descriptions need no simulator
 
     listed = [_normal(Path(name)) for name in mujoco.mju_getXMLDependencies(str(mjcf))]
-    spec = mujoco.MjSpec.from_file(str(mjcf))
     opened = {}
-    for part in (*spec.meshes, *spec.hfields, *spec.skins, *spec.textures):
-        for folder in (spec.meshdir, spec.texturedir):
-            file = _normal(mjcf.parent / folder / part.file)
-            if file.is_file():
-                opened[file] = file.name
+    for model in filter(_is_xml, listed):
+        with suppress(ValueError):  # a part, which another one includes
+            spec = mujoco.MjSpec.from_file(str(model))
+            for part in (*spec.meshes, *spec.hfields, *spec.skins, *spec.textures):
+                for folder in (spec.meshdir, spec.texturedir):
+                    file = _normal(model.parent / folder / part.file)
+                    if file.is_file():
+                        opened[file] = file.name
     names = set(opened.values())
     listed = [file for file in listed if file.is_file() or file.name not in names]
     return list(dict.fromkeys([*listed, *opened]))
+
+
+def _is_xml(file: Path) -> bool:
+    """Return whether a file may be a model, and not a mesh or texture."""
+    data = file.read_bytes() if file.is_file() else b""
+    return data.removeprefix(BOM_UTF8).lstrip().startswith(b"<")
 
 
 def _normal(path: Path) -> Path:
