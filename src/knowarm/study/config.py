@@ -312,15 +312,16 @@ def redraw(study: StudyConfig, draw: str) -> StudyConfig:
     if draw not in SEEDS:
         raise unknown_name("draw", draw, SEEDS)
     seed = SEEDS[draw]
-    fields = {"env": {"task": {"asked": {"queries": {"seed": seed}}}}}
-    held_out = OverridesFor(experiments="*", fields=fields)
+    rules = list(study.overrides_for)
+    tasks = {config.name: config.env.task for config in study.runs()}
+    for name, task in tasks.items():
+        fields = {"env": {"task": to_dict(task.asking(seed=seed))}}
+        rules.append(OverridesFor(experiments=name, fields=fields))
     evaluations = [
         dataclasses.replace(evaluation, seed=seed) for evaluation in study.evaluations
     ]
     return dataclasses.replace(
-        study,
-        overrides_for=(*study.overrides_for, held_out),
-        evaluations=tuple(evaluations),
+        study, overrides_for=tuple(rules), evaluations=tuple(evaluations)
     )
 
 
