@@ -168,7 +168,7 @@ def table(arms: Arms) -> str:
     for (experiment, test), runs in arms.items():
         pairs = len(runs[0].columns["target"])
         cells = [name_of(experiment, test), str(len(runs)), str(pairs)]
-        shares = [[run.moved() for run in runs]]
+        shares: list[list[Interval | None]] = [[run.moved() for run in runs]]
         shares += [[run.share(each) for run in runs] for each in SHARES.values()]
         shares += [
             [run.share("flips", kind) for run in runs] for kind in KINDS.values()
