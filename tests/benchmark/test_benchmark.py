@@ -440,6 +440,23 @@ def test_a_policy_receives_image_joints_and_query(small):
     assert queries != policy.batch.queries
 
 
+def test_controls_exchange_the_queries_of_their_episodes_alone(small):
+    told = []
+
+    class Told(Noting):
+        def reset(self, batch):
+            super().reset(batch)
+            told.append(sorted(batch.names))
+
+    policy = Entrant(spec="x", make=lambda cell, env: Told(), inputs=("image", "words"))
+    run_suite(small, [policy], name="x", cells=["irb120-S1"])
+    asked = small.cells["irb120-S1"].episodes.question
+    first = sorted(asked[:6])
+    assert len(set(first)) > 1
+    # Two halves by the policy, then black, frozen and shuffled
+    assert told == [first, sorted(asked[6:]), first, first, first]
+
+
 @pytest.fixture(scope="module")
 def damaged():
     """A suite of one cell with a damaged graph and few episodes."""

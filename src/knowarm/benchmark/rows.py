@@ -158,7 +158,8 @@ def _check_seeds(entrants: Entrants) -> None:
 
 def _play_cell(suite: Suite, cell: Cell, entrant: Entrant) -> Outcome:
     """Play one cell with one seed of a policy and with its controls."""
-    num_envs = min(entrant.num_envs, len(cell.episodes))
+    # Environments without an episode would repeat one, which controls then mix with the others.
+    num_envs = min(entrant.num_envs, suite.episodes_played(cell.name, "control"))
     with closing(ArmVectorEnv(cell.env, num_envs)) as env:
         outcome = {"policy": _play(entrant.make(cell, env), env, cell.episodes)}
         first_episodes = cell.episodes[: suite.control_episodes]
