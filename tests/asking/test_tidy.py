@@ -19,7 +19,7 @@ from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.graph.edits import edited
 from knowarm.world.config import facets_of
 from knowarm.world.tasks.skills.sort.belongings import true_belongings
-from knowarm.world.tasks.skills.sort.chores import apart
+from knowarm.world.tasks.skills.sort.sort import apart
 
 ZOO = Path(__file__).parents[2] / "zoo"
 RUN = ZOO / "tiago-choose-sort-answers-seen"
