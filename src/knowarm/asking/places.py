@@ -5,18 +5,16 @@ from math import dist
 
 from knowarm.asking.judgements import Individual, Judgement, Part, Place, certain
 
-_Direction = tuple[int, int]
-"""The axis of the image, and the sign of the places that are further in the direction."""
-
-SIDES: dict[str, _Direction] = {
+SIDES = {
     "leftOf": (0, -1),
     "rightOf": (0, 1),
     "behind": (1, -1),
     "inFrontOf": (1, 1),
 }
-"""Conditions on the side of something; what is nearer to the viewer is lower in the image."""
+"""Conditions on the side of something: the axis of the image, and the sign of the places that are
+further to that side. What is nearer to the viewer is lower in the image."""
 
-ENDS: dict[str, _Direction] = {
+ENDS = {
     "leftmost": SIDES["leftOf"],
     "rightmost": SIDES["rightOf"],
     "hindmost": SIDES["behind"],
@@ -24,7 +22,7 @@ ENDS: dict[str, _Direction] = {
 }
 """Conditions on the end of the scene."""
 
-DISTANCES: dict[str, int] = {"nearest": -1, "farthest": 1}
+DISTANCES = {"nearest": -1, "farthest": 1}
 """Conditions on the distance from something in the image: the sign of what is furthest."""
 
 

@@ -3,7 +3,6 @@
 import re
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
 
 from knowarm.asking.lexicon import (
     BESIDE,
@@ -86,15 +85,8 @@ PLACES = {name: Relation(name) for name in (*EXTREMES.values(), *BESIDE.values()
 """What stands in place of a relation in conditions on places in the image, by its name."""
 
 
-class KindRelations(NamedTuple):
-    """The relations of a graph that state kinds, and those that deny them, by ids."""
-
-    stating: list[int]
-    denying: list[int]
-
-
-def kind_relations(graph: KnowledgeGraph) -> KindRelations:
-    """Return the relations of a graph that state or deny kinds, ascending."""
+def kind_relations(graph: KnowledgeGraph) -> tuple[list[int], list[int]]:
+    """Return the ids of the relations that state kinds, and of those that deny them, ascending."""
     labels = graph.labels
     stating = []
     denying = {*opposed(graph, RDF_TYPE), *opposed(graph, RDFS + "subClassOf")}
@@ -103,7 +95,7 @@ def kind_relations(graph: KnowledgeGraph) -> KindRelations:
         if is_kind and not stance(name, labels.get(name, "")).denies:
             stating.append(index)
             denying.update(opposed(graph, name))
-    return KindRelations(stating, sorted(denying))
+    return stating, sorted(denying)
 
 
 def is_colour(relation: str) -> bool:

@@ -54,7 +54,7 @@ def with_imports(graph: KnowledgeGraph, path: Path, read: _Reader) -> KnowledgeG
     files = {path.resolve()}
     declared = _KNOWN | _ontologies(graph)
     waiting = [(name, path) for name in _imports(graph).values()]
-    missing = {}
+    missing: dict[str, None] = {}
     for name, importing in waiting:
         if _plain(name) in declared:
             continue

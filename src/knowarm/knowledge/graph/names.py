@@ -125,7 +125,7 @@ class Index:
         wanted = hash(text)
         low = np.searchsorted(self._sorted, wanted)
         high = np.searchsorted(self._sorted, wanted, "right")
-        ids = set[int]()
+        ids = set()
         for row in self._order[low:high]:
             if self.texts[row] == text:
                 ids.add(self.ids[row])
@@ -186,7 +186,7 @@ class Spellings:
     def near(self, name: str) -> list[str]:
         """Return the last parts of names that end with a name ("CoffeeMug"), shortest first."""
         wanted = name_key(name)
-        ids = set[int]()
+        ids = set()
         for index, key in zip(self._by_key.ids, self._by_key.texts, strict=True):
             words = label_of(self.names[index], self.labels).split()
             # Whole words: Japan is no pan

@@ -235,7 +235,7 @@ class HeldOutQuestions:
     @cached_property
     def asked_in_training(self) -> set[Condition]:
         """Conditions that training asks for some object; read it when all draws are done."""
-        asked = set[Condition]()
+        asked = set()
         may_ask = self.in_training(list(map(Query.of, self.holders)))
         for (condition, names), row in zip(self.holders.items(), may_ask, strict=True):
             if row[list(map(self._numbers.__getitem__, names))].any():

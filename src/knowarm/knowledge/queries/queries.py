@@ -109,7 +109,7 @@ class QueryGraph:
             individuals.update(described.individuals)
             of_objects.add(described.entity)
         of_objects |= individuals
-        stated = set[Condition]()
+        stated = set()
         for teller, told in self._told_by.items():
             for index, tail in self._tellers.stated(teller):
                 values = [tail]
