@@ -1,5 +1,6 @@
 """Policies of other libraries in the benchmark: ONNX files, Stable-Baselines3's models, servers."""
 
+import shutil
 import threading
 
 import numpy as np
@@ -199,13 +200,13 @@ def test_a_saved_model_of_sb3_plays(tmp_path):
         entrant(f"stable_baselines3:PPO:{tmp_path / 'other.zip'}")
 
 
-def test_an_exported_policy_acts_as_the_same_policy_here(tmp_path, monkeypatch):
+def test_an_exported_policy_acts_as_the_same_policy_here(
+    tmp_path, monkeypatch, exported_zoo
+):
     pytest.importorskip("onnxruntime")
     pytest.importorskip("onnxscript")
-    from knowarm.deploy.contract import export
-
     trained = load_agent(ROOT / "zoo/irb120-full-fast")
-    export(trained, tmp_path)
+    shutil.copytree(exported_zoo("irb120-full-fast"), tmp_path, dirs_exist_ok=True)
     started = []
     start = Fence._start
     monkeypatch.setattr(

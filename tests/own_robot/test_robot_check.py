@@ -20,7 +20,7 @@ def result_of(name: str, robot: Path | str, targets: list, **options: object) ->
     )
 
 
-def test_example_robot_passes_all_checks() -> None:
+def test_example_robot_passes_all_checks(short_search: None) -> None:
     targets = ["bottle", str(EXAMPLES / "bowl.toml")]
     checks = [*check_robot(EXAMPLES / "scara.toml", targets, distance_m=0.03)]
     assert [check for check in checks if not check.ok] == []
