@@ -181,6 +181,7 @@ def test_an_untrained_network_is_never_preferred_in_silence(tmp_path, capsys, ca
     load_agent(path, which="latest")
     load_agent(path, which="untrained")
     assert not caplog.records
-    assert main(["evaluate", str(path), "--episodes", "2"]) == 0
+    played = ["evaluate", str(path), "--episodes", "2", "--blind-episodes", "0"]
+    assert main(played) == 0
     said = [problem.what for problem in collect([path]).problems]
     assert "its best interim evaluation is that of step 0" in said
