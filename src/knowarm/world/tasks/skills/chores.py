@@ -31,7 +31,7 @@ class Tidied:
     def is_tidy(self) -> Mask:
         """Whether all of them do in a scene, (n,)."""
         is_out = (self.belongs >= 0) & ~self.in_place
-        return ~is_out.any(axis=1)
+        return np.asarray(~is_out.any(axis=1))
 
     @property
     def wrong_place(self) -> Mask:
@@ -41,7 +41,7 @@ class Tidied:
     @property
     def disturbed(self) -> Mask:
         """Whether an object that should stay has moved, in each scene, (n,)."""
-        return (self.moved & (self.belongs < 0)).any(axis=1)
+        return np.asarray((self.moved & (self.belongs < 0)).any(axis=1))
 
 
 class Chores(Protocol):

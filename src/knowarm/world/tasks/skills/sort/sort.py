@@ -313,7 +313,7 @@ class Sort(Place):
         is_right = np.zeros_like(belongs)
         np.put_along_axis(is_right, trays, belongs, axis=1)
         destination = centres[np.argmax(is_right, axis=1)]
-        is_told = belongs.any(axis=1)
+        is_told = np.asarray(belongs.any(axis=1))
         return sight._replace(destination=destination, decided=is_told)
 
     def chores(self, state: State, asked: Asking) -> SortChores:
