@@ -30,6 +30,7 @@ TABLE = "irb120, fixed colours"
 PUBLISHED = {
     "choose-v1": "03407d9ea3703743a1fab0cf134f470a207d520690830589da9084593b307b40",
     "damaged-graph-v1": "feef0edf7d7632d47a892cfaeb3c31674ee1c594201da47bbb7faed4517b5e07",
+    "pick-and-place-v1": "23f4c4316db74bbe87f645d516ca0d9cddcbb05e13d42036079c6110790edddf",
     "reach-v1": "116b8adf5475328f4d299923464cab0f7beddbd142dae4c89462a30c04b005e9",
 }
 
@@ -53,6 +54,23 @@ def test_the_frozen_questions_have_their_frozen_answers(name):
         assert (
             table.satisfies[asked[:, None], shown] == [True, False, False, False]
         ).all()
+
+
+TRAYS = {
+    "irb120-place-S1": "the blue tray is the garden; the green tray is the kitchen; the red tray "
+    "is the living room",
+    "tiago-named-S1": "the destination is the garden; the pink tray is the garden; the cyan tray "
+    "is the living room",
+}
+"""What is told of the first episode."""
+
+
+@pytest.mark.parametrize("name", sorted(TRAYS))
+def test_the_frozen_trays_are_what_they_were(name):
+    cell = read_suite("pick-and-place-v1").cells[name]
+    env = ArmVectorEnv(replace(cell.env, image_size=8), 1)
+    env.reset(options={"episodes": cell.episodes[:1]})
+    assert env.running.instruct(0) == f"isMadeOf wood and hasColor pink; {TRAYS[name]}"
 
 
 @pytest.mark.parametrize("name", ["choose-v1", "reach-v1"])
