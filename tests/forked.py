@@ -1,5 +1,6 @@
 """A function in a fork of this process, which saves the seconds that imports take."""
 
+import gc
 import multiprocessing
 import os
 import signal
@@ -32,6 +33,8 @@ class Forked:
         self._files = folder / "stdout", folder / "stderr"
 
         def run() -> None:
+            # What it inherits is not its own to end: threads of a simulation are not in a fork.
+            gc.freeze()
             signal.signal(signal.SIGINT, signal.default_int_handler)
             for descriptor, path in enumerate(self._files, 1):
                 os.dup2(
