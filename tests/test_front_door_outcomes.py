@@ -54,7 +54,7 @@ def test_a_policy_reaches_its_targets_and_succeeds_in_each_environment_as_often(
         knowarm.world.env_id(agent.config.env.robot, agent.config.env.task.name)
     )
     alone = []
-    for seed in range(8):
+    for seed in range(24):
         image, info = env.reset(seed=seed)
         agent.reset(info)
         ended = False

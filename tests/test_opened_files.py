@@ -40,12 +40,8 @@ WITHOUT = {
     "deploy/runner.py": "without KnowArm; regular files only",
     "experiment/csv_log.py": "its log, which it has read before",
     "fence.py": "/proc",
-    "knowledge/formats/columns.py": "names of the package",
     "knowledge/formats/files.py": "its callers read it in `reading`",
-    "knowledge/formats/others.py": "names of the package",
     "knowledge/formats/tables.py": "an output",
-    "knowledge/graph/denials.py": "words of the package",
-    "knowledge/graph/homonyms.py": "words of the package",
     "knowledge/vectors/words.py": "vectors of the package",
     "knowledge/embedding.py": "opens a source of vectors",
     "learn/checkpoint.py": "writes",
@@ -79,12 +75,26 @@ def is_reading(node: ast.With) -> bool:
     return any("reading(" in ast.unparse(item.context_expr) for item in node.items)
 
 
+def fenced_in_reading(tree: ast.AST) -> set[str]:
+    """Return the functions that run in the fence, within `reading`."""
+    names = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.With) and is_reading(node):
+            for call in ast.walk(node):
+                if isinstance(call, ast.Call) and ast.unparse(call.func) == "fenced":
+                    names.add(ast.unparse(call.args[0]))
+    return names
+
+
 def unguarded(tree: ast.AST) -> list[int]:
     """Return the lines on which a file is opened outside of `reading`."""
+    fenced = fenced_in_reading(tree)
     lines, waiting = [], [(tree, False)]
     while waiting:
         node, is_guarded = waiting.pop()
         is_guarded = is_guarded or (isinstance(node, ast.With) and is_reading(node))
+        if isinstance(node, ast.FunctionDef):
+            is_guarded = is_guarded or node.name in fenced
         if isinstance(node, ast.Call) and opens(node) and not is_guarded:
             lines.append(node.lineno)
         waiting += [(child, is_guarded) for child in ast.iter_child_nodes(node)]
@@ -120,3 +130,10 @@ def test_the_guard_sees_every_way_to_open_a_file(code):
     assert unguarded(ast.parse(code)) == [1]
     guarded = f"with reading(path, remedy), others():\n    {code}"
     assert unguarded(ast.parse(guarded)) == []
+
+
+def test_what_the_fence_runs_is_guarded_where_the_fence_is():
+    code = "def opened(path):\n    return Image.open(path)\n"
+    assert unguarded(ast.parse(f"{code}fenced(opened, path)")) == [2]
+    assert unguarded(ast.parse(f"{code}with reading(path): fenced(other, path)")) == [2]
+    assert unguarded(ast.parse(f"{code}with reading(path): fenced(opened, path)")) == []

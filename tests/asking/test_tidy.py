@@ -46,7 +46,7 @@ def test_scenes_have_one_object_for_each_tray(trained, scenes, tidying):
     env = trained.config.env
     known = true_belongings(env.task.asked, facets_of(env), env.task.skill.relation)
     for objects, places in zip(scenes.objects, tidying.told["places"], strict=True):
-        belongs = known.of(objects, np.tile(places, (len(objects), 1)))
+        belongs = known.of(objects[None], places[None])[0]
         assert belongs.sum(axis=0).tolist() == [1, 1]
         assert belongs.sum(axis=1).max() == 1
 

@@ -32,7 +32,8 @@ class _Model:
 
             options = onnxruntime.SessionOptions()
             options.intra_op_num_threads = 1  # sums in the same order on every machine
-            self._session = onnxruntime.InferenceSession(self._path, options)
+            with reading(self._path, REMEDY):
+                self._session = onnxruntime.InferenceSession(self._path, options)
         if inputs is not None:
             return self._session.run(None, inputs)
         sizes = {tensor.name: tensor.shape for tensor in self._session.get_inputs()}

@@ -172,7 +172,7 @@ def _files_of(mjcf: Path) -> list[Path]:
 
 def _is_xml(file: Path) -> bool:
     """Return whether a file may be a model, and not a mesh or texture."""
-    data = file.read_bytes() if file.is_file() else b""
+    data = read_bytes(file) if file.is_file() else b""
     return data.removeprefix(BOM_UTF8).lstrip().startswith(b"<")
 
 

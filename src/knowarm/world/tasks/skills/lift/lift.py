@@ -64,6 +64,7 @@ class Lift(Skill):
     max_steps = 100
     moves_fingers = True
     simulator_class: ClassVar[type[LiftSimulator]] = LiftSimulator
+    """Simulator of the skill's physics."""
     dynamics = ("dynamic",)  # Kinematics have no contacts.
     column_meanings: ClassVar[dict[str, str]] = {
         "rise_m": "rise of the object's centre of mass at the end [m]",
