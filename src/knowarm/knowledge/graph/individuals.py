@@ -94,9 +94,11 @@ def individuals_of(graph: KnowledgeGraph, word: str, entity: int | None) -> list
         for kind in _subclasses(graph, entity):
             individuals.update(_typed(graph, kind))
     same = best_described(graph, word)
-    for individual in graph.names.find_numbered(word):
+    key = name_key(word)
+    for individual in graph.names.find_beginning(word):
         counted = numbered(local_name(graph.names[individual]))
-        assert counted is not None
+        if counted is None or name_key(counted.word) != key:
+            continue
         is_counted = counted.is_parted or not _has_facts(graph, same)
         is_open = not is_class(graph, individual) and not types_of(graph, individual)
         if graph.has_node(individual) and is_counted and is_open:

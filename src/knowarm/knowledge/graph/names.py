@@ -1,6 +1,5 @@
 """Names of a graph by number, and what they are found by: spellings, last parts and labels."""
 
-import re
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
@@ -16,10 +15,8 @@ from knowarm.knowledge.graph.terms import (
     letters_of,
     local_name,
     name_key,
-    numbered,
 )
 
-_DIGIT = re.compile(r"\d")
 Counts = Callable[[int], bool]
 """Whether an id counts."""
 
@@ -54,9 +51,23 @@ class Names(tuple[str, ...]):
         """Return the ids of the names, but for literals, whose `local_name` this is, ascending."""
         return self.by_local[local]
 
-    def find_numbered(self, word: str) -> list[int]:
-        """Return the ids of the names that count a word, as "mug_0" does, ascending."""
-        return self._by_word[name_key(word)]
+    def find_beginning(self, word: str) -> list[int]:
+        """Return the ids of the names, but for literals, whose last part begins with a word.
+
+        Case and separators make no difference, nor does a bracket.
+        """
+        if word in self._beginning:
+            return self._beginning[word]
+        text, starts = self._letters
+        wanted = f"\0{letters_of(word)}"
+        ids = []
+        start = text.find(wanted)
+        while start >= 0:
+            row = int(np.searchsorted(starts, start))
+            ids.append(self.by_local.ids[row])
+            start = text.find(wanted, start + 1)
+        self._beginning[word] = ids
+        return ids
 
     def find_literals(self, text: str) -> list[int]:
         """Return the ids of the literals of this text, in any case, ascending."""
@@ -88,16 +99,18 @@ class Names(tuple[str, ...]):
         return Index(list(map(local_name, names)), ids)
 
     @cached_property
-    def _by_word(self) -> "Index":
-        """The ids of the names that end with a number, by the `name_key` of the word."""
-        keys = []
-        ids = []
-        for index, local in zip(self.by_local.ids, self.by_local.texts, strict=True):
-            counted = numbered(local) if _DIGIT.search(local) else None
-            if counted is not None:
-                keys.append(name_key(counted.word))
-                ids.append(index)
-        return Index(keys, ids)
+    def _beginning(self) -> dict[str, list[int]]:
+        """What `find_beginning` found, by the word."""
+        return {}
+
+    # One text to search: a key for each of a million names would take seconds.
+    @cached_property
+    def _letters(self) -> tuple[str, np.ndarray]:
+        """The letters of the texts of `by_local`, a zero byte before each, and where, (n,)."""
+        letters = letters_of("\0" + "\0".join(self.by_local.texts))
+        letters = letters.replace("\0<", "\0")  # as of "<mug> (3)"
+        lengths = list(map(len, letters.split("\0")))
+        return letters, np.cumsum(lengths[:-1]) + np.arange(len(lengths) - 1)
 
     @cached_property
     def _by_text(self) -> "Index":
