@@ -37,9 +37,9 @@ from benchmarks.learn import (
 )
 from benchmarks.time_to_success import INTERIM, SuccessClock
 from knowarm.cli.tables import check_output, write_json_table
-from knowarm.experiment.build import build
 from knowarm.experiment.config import INTERIM_SEED
 from knowarm.experiment.names import experiment_config
+from knowarm.experiment.run import build
 from knowarm.learn import PPOConfig
 from knowarm.learn.sb3_vec_env import SB3VecEnv
 from knowarm.policy import Policy

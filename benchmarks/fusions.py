@@ -15,8 +15,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from knowarm.experiment.build import build
 from knowarm.experiment.names import experiment_config
+from knowarm.experiment.run import build
 from knowarm.policy import Policy, PolicyConfig
 from knowarm.policy.config import FUSIONS
 from knowarm.world.envs.vector_env import ArmVectorEnv

@@ -20,8 +20,8 @@ from knowarm.cli.tables import check_output, print_table, write_json_table
 from knowarm.cores import processor
 from knowarm.errors import UserError
 from knowarm.experiment.algorithms import ALGORITHMS
-from knowarm.experiment.build import Parts, build
 from knowarm.experiment.names import DEFAULT_EXPERIMENT, experiment_config
+from knowarm.experiment.run import Parts, build
 from knowarm.learn import A3CConfig, Hooks, Metrics, PPOConfig, TorchVectorEnv
 from knowarm.learn.a3c import A3CTrainer
 from knowarm.learn.algorithms import MinibatchConfig

@@ -20,10 +20,10 @@ from torch.utils.flop_counter import FlopCounterMode
 from knowarm.cli.tables import check_output, print_table, write_json_table
 from knowarm.config import LEAST, MOST_INT, within
 from knowarm.cores import available_cores, processor, torch_threads
-from knowarm.experiment.build import build, make_trainer
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.knows import NoKnowledge
 from knowarm.experiment.names import DEFAULT_EXPERIMENT, experiment_config
+from knowarm.experiment.run import build, make_trainer
 from knowarm.learn import A3CConfig, DistilConfig, Hooks, Metrics
 from knowarm.learn.algorithms import MinibatchConfig
 from knowarm.learn.optimizer import PolicyOptimizer

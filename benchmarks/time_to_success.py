@@ -14,9 +14,9 @@ from knowarm.cli.tables import print_table
 from knowarm.cores import available_cores
 from knowarm.errors import UserError
 from knowarm.experiment.algorithms import ALGORITHMS
-from knowarm.experiment.build import build, interim_evaluation
 from knowarm.experiment.config import ExperimentConfig, InterimConfig
 from knowarm.experiment.names import ExperimentName, experiment_config
+from knowarm.experiment.run import build, interim_evaluation
 from knowarm.learn import Hooks, TorchVectorEnv, Trainer
 from knowarm.learn.algorithms import MinibatchConfig
 from knowarm.policy import Policy

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from knowarm.errors import UserError
-from knowarm.experiment.build import build
 from knowarm.experiment.names import experiment_config
+from knowarm.experiment.run import build
 from knowarm.learn import PPOConfig
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ArmVectorEnv

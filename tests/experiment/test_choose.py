@@ -11,12 +11,11 @@ from knowarm.config import override
 from knowarm.errors import UserError
 from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.algorithms import ALGORITHMS
-from knowarm.experiment.build import build
 from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.evaluation import SplitTest, Subject
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.names import experiment_config, tasks_of
-from knowarm.experiment.run import Run
+from knowarm.experiment.run import Run, build
 from knowarm.world.agents import OracleAgent
 from knowarm.world.config import EnvConfig, questions_of
 from knowarm.world.tasks.asked.query.query import AskObject

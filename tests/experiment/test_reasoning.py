@@ -9,7 +9,6 @@ import torch
 
 from knowarm.errors import UserError
 from knowarm.experiment.agents import AGENTS
-from knowarm.experiment.build import build
 from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.evaluation import (
     DamageTest,
@@ -22,7 +21,7 @@ from knowarm.experiment.knows import reason_by
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.names import experiment_config, tasks_of
 from knowarm.experiment.other_graphs import with_graph
-from knowarm.experiment.run import train
+from knowarm.experiment.run import build, train
 from knowarm.knowledge.graph.builder import graph_of
 from knowarm.perception.answering import AnsweringAgent
 from knowarm.perception.config import GroundingSpec

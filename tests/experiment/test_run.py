@@ -8,12 +8,11 @@ import torch
 from knowarm.config import from_dict, to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.agents import AGENTS
-from knowarm.experiment.build import Parts, build
 from knowarm.experiment.config import ExperimentConfig, StopWhen
 from knowarm.experiment.csv_log import read_csv
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.names import ExperimentName, experiment_config, tasks_of
-from knowarm.experiment.run import train
+from knowarm.experiment.run import Parts, build, train
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.learn.checkpoint import (
     Checkpoint,

@@ -33,7 +33,7 @@ def test_a_shipped_policy_is_small(name):
 
 @pytest.mark.parametrize("name", AGENTS)
 def test_the_knowledge_it_was_trained_with_is_what_the_package_builds(name):
-    from knowarm.experiment.build import build
+    from knowarm.experiment.run import build
 
     trained = load_agent(ZOO / name)
     assert trained.config.name == name

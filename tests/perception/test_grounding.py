@@ -10,10 +10,9 @@ import pytest
 import torch
 
 from knowarm.errors import UserError
-from knowarm.experiment.build import build
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.names import experiment_config
-from knowarm.experiment.run import train
+from knowarm.experiment.run import build, train
 from knowarm.experiment.run_folder import PERCEPTION_FILE, network_for_training
 from knowarm.perception import grounding_training
 from knowarm.perception.agent import FrameRecognition

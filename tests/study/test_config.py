@@ -6,8 +6,8 @@ import pytest
 from knowarm.config import differences, from_dict, to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.agents import AGENTS, controls_of
-from knowarm.experiment.build import build
 from knowarm.experiment.names import ExperimentName, experiment_config
+from knowarm.experiment.run import build
 from knowarm.knowledge.queries.splits import SEEDS
 from knowarm.study.config import (
     SHIPPED,

@@ -11,9 +11,9 @@ import torch
 
 from knowarm.check import Check
 from knowarm.errors import UserError
-from knowarm.experiment.build import build
 from knowarm.experiment.names import DEFAULT_EXPERIMENT, experiment_config
 from knowarm.experiment.provenance import provenance
+from knowarm.experiment.run import build
 from knowarm.world.agents import Batch, OracleAgent
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ArmVectorEnv

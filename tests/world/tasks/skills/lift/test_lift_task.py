@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from knowarm.errors import UserError
-from knowarm.experiment.build import build
 from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.names import experiment_config
+from knowarm.experiment.run import build
 from knowarm.world.agents import Batch, OracleAgent, ZeroAgent
 from knowarm.world.agents import open_loop as open_loop_module
 from knowarm.world.agents.play import play
