@@ -12,8 +12,12 @@ from knowarm.knowledge import KnowledgeGraph
 from knowarm.measures import Measure
 from knowarm.questions import AND, QuestionTable
 from knowarm.world.tasks.asked.asked import Asking
-from knowarm.world.tasks.asked.query.arrangements import SeveralObjects, question_table
-from knowarm.world.tasks.asked.query.query_source import GraphQueries, NameQueries
+from knowarm.world.tasks.asked.query.arrangements import SeveralObjects
+from knowarm.world.tasks.asked.query.query_source import (
+    GraphQueries,
+    NameQueries,
+    question_table,
+)
 from knowarm.world.tasks.sampling import Facets, ObjectSampler, Setting
 from knowarm.world.tasks.state import EpisodeState, NamedArrays
 

@@ -12,7 +12,13 @@ from knowarm.knowledge import KnowledgeGraph
 from knowarm.knowledge.formats import SHIPPED, read_graph
 from knowarm.knowledge.queries.queries import Pairs
 from knowarm.knowledge.queries.splits import HELD_OUT, QuerySplits, Split, query_splits
-from knowarm.questions import COLOUR_RELATION, Query, QuestionTable
+from knowarm.questions import (
+    COLOUR_RELATION,
+    Query,
+    QuestionTable,
+    number_parts,
+    with_distractors,
+)
 from knowarm.world.tasks.sampling import Facets
 
 
@@ -129,6 +135,31 @@ class GraphQueries(QuerySource):
     def splits(self, facets: Facets, objects: int) -> QuerySplits:
         """Make the tables of training and of all tests; cached per `version`."""
         return _splits(replace(self, split="train"), facets, objects, self.version())
+
+
+@lru_cache(maxsize=16)
+def question_table(
+    queries: QuerySource, facets: Facets, objects: int, version: tuple[int, ...]
+) -> QuestionTable:
+    """Return the questions of a source about facets, of which an episode shows ``objects``.
+
+    Facets that are parts are shown with all parts of their objects; a query is asked for a part
+    only if no other part of its object satisfies it. Cached per process and ``version`` of the
+    source.
+    """
+    count = objects // number_parts(facets).shape[1]
+    table = queries.table(facets, objects)
+    parts = table.parts
+    if parts.shape[1] == 1:
+        return table
+    shown = np.any(table.shown[parts], axis=1)
+    related = np.any(table.related[:, parts], axis=2)
+    related = np.any(related[parts], axis=1)
+    satisfied = table.satisfies[:, parts]
+    askable = table.askable & (satisfied.sum(axis=2) == 1)
+    by_object = np.any(satisfied, axis=2)
+    askable = with_distractors(askable, by_object, related, shown, table.objects, count)
+    return replace(table, askable=askable, related=related, shown=shown)
 
 
 @lru_cache(maxsize=4)
