@@ -28,13 +28,15 @@ from knowarm.knowledge.vectors.source import (
     Coverage,
     Facet,
     Found,
+    Pooling,
     Request,
     VectorLookup,
     Vectors,
-    pool,
 )
 from knowarm.questions import Condition, ObjectColour, Query, conditions_of
 
+SIF_A = 1e-3
+"""The constant of SIF's weight a / (a + p)."""
 Facets = Sequence[ObjectColour]
 """The task's (object, colour) pairs, in the environment's order."""
 
@@ -336,10 +338,10 @@ def _vectors(
     for sentence, value, rest in described.slots:
         labels = sentence if share is None else rest
         found = [lookup.find(part, coverage) for part in labels]
-        vector = pool(found, config.pooling, centre)
+        vector = _pool(found, config.pooling, centre)
         if value is not None and share is not None:
             found = [lookup.find(value, coverage)]
-            value_unit = _unit(pool(found, config.pooling, value_centre))
+            value_unit = _unit(_pool(found, config.pooling, value_centre))
             mixed = (1 - share) * _unit(vector) + share * value_unit
             vector = mixed * np.linalg.norm(vector)
         if config.slot_norm is not None:
@@ -354,7 +356,21 @@ def _centre(lookup: VectorLookup, parts: Sentence) -> Vectors:
     for part in parts:
         with suppress(UserError):
             found.append(lookup.find(part, Coverage()))
-    return pool(found, "mean", 0)
+    return _pool(found, "mean", 0)
+
+
+def _pool(found: Sequence[Found], pooling: Pooling, centre: Vectors | float) -> Vectors:
+    """Pool the vectors of labels, less a centre (D,) or 0, into one, (D,) float64.
+
+    mean: sum_w v_w / n;  sif: sum_w a / (a + p(w)) v_w / n  (Arora, Liang and Ma 2017, eq. 3).
+    """
+    vectors = np.concatenate([f.vectors for f in found]).astype(np.float64) - centre
+    if not len(vectors):
+        return np.zeros(vectors.shape[1])
+    if pooling == "mean":
+        return vectors.mean(axis=0)
+    frequencies = np.concatenate([f.frequencies for f in found])
+    return (vectors * (SIF_A / (SIF_A + frequencies))[:, None]).mean(axis=0)
 
 
 def _unit(vector: Vectors) -> Vectors:

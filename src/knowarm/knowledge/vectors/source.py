@@ -16,8 +16,6 @@ from knowarm.questions import Condition
 Vectors = np.ndarray
 """Numbers of labels, slots or other things: one vector, or one per row."""
 Pooling = Literal["mean", "sif"]
-SIF_A = 1e-3
-"""The constant of SIF's weight a / (a + p)."""
 OnMissing = Literal["error", "skip", "hash"]
 """What to do with a label of which no word is known: raise an error, leave it out, or give each of
 its words a fixed random vector that depends on its letters only."""
@@ -185,20 +183,6 @@ class VectorSource:
 
 SOURCES: dict[str, type[VectorSource]] = {}
 """Config class of every source by its `kind`; filled by ``knowledge.vectors``."""
-
-
-def pool(found: Sequence[Found], pooling: Pooling, centre: Vectors | float) -> Vectors:
-    """Pool the vectors of labels, less a centre (D,) or 0, into one, (D,) float64.
-
-    mean: sum_w v_w / n;  sif: sum_w a / (a + p(w)) v_w / n  (Arora, Liang and Ma 2017, eq. 3).
-    """
-    vectors = np.concatenate([f.vectors for f in found]).astype(np.float64) - centre
-    if not len(vectors):
-        return np.zeros(vectors.shape[1])
-    if pooling == "mean":
-        return vectors.mean(axis=0)
-    frequencies = np.concatenate([f.frequencies for f in found])
-    return (vectors * (SIF_A / (SIF_A + frequencies))[:, None]).mean(axis=0)
 
 
 @dataclass(frozen=True, kw_only=True)
