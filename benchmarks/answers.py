@@ -39,10 +39,9 @@ from knowarm.knowledge.graph.damage import Damage
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.kge.models import MODELS
 from knowarm.knowledge.queries.splits import SPLITS
-from knowarm.perception.agent import FrameRecognition
-from knowarm.perception.answering import AnswerGrounding
 from knowarm.perception.grounding import GroundingNetwork
 from knowarm.perception.images import LabelledImages, sample_images
+from knowarm.perception.recognition import AnswerGrounding, FrameRecognition
 from knowarm.seeding import derive_seed
 from knowarm.statistics import wilson
 from knowarm.world.config import EnvConfig, facets_of

@@ -19,9 +19,9 @@ import torch
 
 from knowarm.experiment.knows import Grounded
 from knowarm.experiment.names import experiment_config
-from knowarm.perception.agent import FrameRecognition
 from knowarm.perception.grounding_training import train_grounding
 from knowarm.perception.images import LabelledImages, sample_images
+from knowarm.perception.recognition import FrameRecognition
 from knowarm.seeding import derive_seed
 from knowarm.world.config import EnvConfig, facets_of
 

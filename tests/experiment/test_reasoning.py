@@ -23,9 +23,9 @@ from knowarm.experiment.names import experiment_config, tasks_of
 from knowarm.experiment.other_graphs import with_graph
 from knowarm.experiment.run import build, train
 from knowarm.knowledge.graph.builder import graph_of
-from knowarm.perception.answering import AnsweringAgent
 from knowarm.perception.config import GroundingSpec
 from knowarm.perception.grounding import GroundingNetwork
+from knowarm.perception.recognition import AnsweringAgent
 from knowarm.world.config import facets_of, questions_of
 from knowarm.world.tasks.asked.query.query import CHOOSE_TARGETS
 from tests.experiment.test_zoo import ZOO

@@ -9,7 +9,6 @@ import torch
 from knowarm.errors import UserError
 from knowarm.experiment.load import load_agent
 from knowarm.perception import calibration
-from knowarm.perception.answering import AnswerGrounding
 from knowarm.perception.calibration import (
     calibrated_thresholds,
     nearest_place,
@@ -17,6 +16,7 @@ from knowarm.perception.calibration import (
     thresholds_of,
 )
 from knowarm.perception.images import query_answers, sample_images
+from knowarm.perception.recognition import AnswerGrounding
 from knowarm.questions import number_objects
 
 ZOO = Path(__file__).parents[2] / "zoo" / "irb120-choose-answers-fast"

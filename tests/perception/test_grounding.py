@@ -15,7 +15,6 @@ from knowarm.experiment.names import experiment_config
 from knowarm.experiment.run import build, train
 from knowarm.experiment.run_folder import PERCEPTION_FILE, network_for_training
 from knowarm.perception import grounding_training
-from knowarm.perception.agent import FrameRecognition
 from knowarm.perception.config import GroundingConfig, GroundingSpec
 from knowarm.perception.grounding import (
     FRAME,
@@ -27,6 +26,7 @@ from knowarm.perception.grounding import (
 )
 from knowarm.perception.grounding_training import train_grounding
 from knowarm.perception.images import ImageSampler, query_answers, sample_images
+from knowarm.perception.recognition import FrameRecognition
 from knowarm.reading import UnreadableFileError
 from knowarm.world.cache import cache_file
 from knowarm.world.config import facets_of, questions_of

@@ -6,7 +6,7 @@ import torch
 
 from knowarm.cli.main import main
 from knowarm.experiment.load import load_agent
-from knowarm.perception.agent import known_in_episode
+from knowarm.perception.recognition import known_in_episode
 from knowarm.world.agents.protocol import Batch
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv

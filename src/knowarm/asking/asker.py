@@ -24,10 +24,10 @@ from knowarm.experiment.load import TrainedAgent, load_agent
 from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.graph.edits import edited
 from knowarm.knowledge.graph.graph import KnowledgeGraph
-from knowarm.perception.answering import AnswerGrounding, SeenAnswers
 from knowarm.perception.config import LEVEL, Unclear
 from knowarm.perception.grounding import centres
 from knowarm.perception.images import first_facets, pixels_of
+from knowarm.perception.recognition import AnswerGrounding, SeenAnswers
 from knowarm.perception.solving import SolvingAgent
 from knowarm.questions import COLOUR_RELATION, ObjectColour
 from knowarm.world.envs.episodes import evaluation_episodes

@@ -163,7 +163,7 @@ class View:
         """Return what the agent knows in the episode that it has played."""
         if is_scripted(self.agent):
             return {}
-        from knowarm.perception.agent import known_in_episode  # imports torch
+        from knowarm.perception.recognition import known_in_episode  # imports torch
 
         return known_in_episode(cast(Any, agent), image)
 

@@ -27,7 +27,7 @@ from knowarm.deploy.runner import FORMAT, Runner, Start, fingerprint
 from knowarm.errors import UserError
 from knowarm.experiment.load import TrainedAgent
 from knowarm.perception import grounding
-from knowarm.perception.agent import FrameRecognition
+from knowarm.perception.recognition import FrameRecognition
 from knowarm.reading import digest, read_bytes, replacing, write_json, writing
 from knowarm.world.config import facets_of, scene_of
 from knowarm.world.envs.running import joint_increments

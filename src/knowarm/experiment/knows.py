@@ -31,8 +31,8 @@ from knowarm.world.config import EnvConfig, facets_of, questions_of
 from knowarm.world.tasks.task import Task
 
 if TYPE_CHECKING:  # These import torch, which reading a config does not need.
-    from knowarm.perception.agent import FrameRecognition
     from knowarm.perception.grounding import GroundingNetwork
+    from knowarm.perception.recognition import FrameRecognition
     from knowarm.policy import Policy, PolicyAgent
     from knowarm.world.envs.torch_env import TorchArmVectorEnv
 
@@ -84,7 +84,7 @@ class Knowledge:
         **options: Any,
     ) -> "TorchArmVectorEnv":
         """Make training environments with this knowledge; options as `TorchArmVectorEnv`."""
-        from knowarm.perception.agent import PerceivingVectorEnv
+        from knowarm.perception.recognition import PerceivingVectorEnv
         from knowarm.world.envs.torch_env import TorchArmVectorEnv
 
         options["num_threads"] = num_threads
@@ -215,8 +215,7 @@ class Grounded(_Embedded):
         knowledge = replace(knowledge, is_grounded=True)
         if network is None:
             return knowledge
-        from knowarm.perception.agent import FrameRecognition
-        from knowarm.perception.answering import AnswerGrounding
+        from knowarm.perception.recognition import AnswerGrounding, FrameRecognition
 
         if self.kind == "grounded":
             recognition = FrameRecognition(network, knowledge.table)

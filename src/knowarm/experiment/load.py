@@ -21,10 +21,10 @@ from knowarm.experiment.zoo import open_run
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.learn import read_checkpoint
 from knowarm.learn.checkpoint import to_tensors
-from knowarm.perception.answering import AnswerGrounding, AnsweringAgent
 from knowarm.perception.calibration import calibrated_thresholds
 from knowarm.perception.config import shown_in
 from knowarm.perception.grounding import GroundingNetwork
+from knowarm.perception.recognition import AnswerGrounding, AnsweringAgent
 from knowarm.perception.solving import SolvingAgent
 from knowarm.policy import Policy, PolicyAgent, PolicyConfig, PolicyShape
 from knowarm.questions import find_rows

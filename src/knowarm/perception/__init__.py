@@ -2,5 +2,5 @@
 
 `GroundingNetwork` (`grounding`) finds the object that a query means and predicts its grasp frame.
 It holds a `PlaceEncoder` (`encoder`) and is trained by `grounding_training` on images that the
-simulator labels (`images`). `agent` and `answering` give a policy what it recognizes.
+simulator labels (`images`). `recognition` gives a policy what it recognizes.
 """

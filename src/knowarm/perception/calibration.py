@@ -15,9 +15,9 @@ import torch
 from torch import Tensor
 
 from knowarm.errors import UserError
-from knowarm.perception.answering import AnswerGrounding
 from knowarm.perception.grounding import GroundingNetwork, centres, in_batches
 from knowarm.perception.images import pixels_of, sample_images
+from knowarm.perception.recognition import AnswerGrounding
 from knowarm.questions import number_objects
 from knowarm.seeding import derive_seed
 from knowarm.world.cache import cache_file, read_arrays, write_arrays

@@ -13,9 +13,8 @@ from torch import Tensor
 
 from knowarm.arrays import Floats, Integers, Mask
 from knowarm.errors import UserError
-from knowarm.perception.agent import FrameRecognition
-from knowarm.perception.answering import AnsweringAgent
 from knowarm.perception.grounding import BATCH
+from knowarm.perception.recognition import AnsweringAgent, FrameRecognition
 from knowarm.policy import PolicyAgent
 from knowarm.world.agents.protocol import Batch
 from knowarm.world.agents.scripted import guide_of

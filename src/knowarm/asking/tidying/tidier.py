@@ -14,8 +14,8 @@ from knowarm.errors import UserError
 from knowarm.experiment.load import TrainedAgent
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.knowledge.formats import read_graph
-from knowarm.perception.answering import AnswerGrounding
 from knowarm.perception.config import LEVEL
+from knowarm.perception.recognition import AnswerGrounding
 from knowarm.perception.solving import SolvingAgent
 from knowarm.questions import ObjectColour
 from knowarm.world.config import EnvConfig, facets_of

@@ -6,10 +6,10 @@ import numpy as np
 import torch
 
 import knowarm
-from knowarm.perception.agent import FrameRecognition
 from knowarm.perception.config import GroundingConfig, GroundingSpec
 from knowarm.perception.grounding import GroundingNetwork
 from knowarm.perception.images import axes_of
+from knowarm.perception.recognition import FrameRecognition
 from knowarm.perception.solving import SolvingAgent
 from knowarm.world.config import questions_of, scene_of
 from knowarm.world.tasks import find_task

@@ -4,11 +4,14 @@ import numpy as np
 import pytest
 import torch
 
-from knowarm.perception.agent import FrameRecognition
-from knowarm.perception.answering import AnswerGrounding, AnsweringAgent
 from knowarm.perception.config import GroundingConfig, GroundingSpec
 from knowarm.perception.grounding import GroundingNetwork, place_of
 from knowarm.perception.images import query_answers, sample_images
+from knowarm.perception.recognition import (
+    AnswerGrounding,
+    AnsweringAgent,
+    FrameRecognition,
+)
 from knowarm.questions import object_of
 from knowarm.world.agents.play import play
 from knowarm.world.config import EnvConfig, questions_of
