@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike
 from knowarm.arrays import Array, Floats, Images, Indices, Mask
 from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.base import BaseVectorEnv, Infos, draw_images
-from knowarm.world.envs.interface import Action, Observe
+from knowarm.world.envs.base import Action, BaseVectorEnv, Infos, Observe, draw_images
 from knowarm.world.render.renderer import Renderer, make_renderer
 from knowarm.world.tasks.state import NamedArrays
 
