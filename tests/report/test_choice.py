@@ -15,11 +15,12 @@ from knowarm.report.blocks import DataTable, flat
 from knowarm.report.charts import TEMPLATES
 from knowarm.report.collect import collect
 from knowarm.report.model import StudyData
-from knowarm.report.pages import behaviour, build_pages
+from knowarm.report.pages import behaviour
 from knowarm.report.pages.results import result_blocks
 from knowarm.report.verdicts.claims import Finding
 from knowarm.report.verdicts.knowledge import answer
 from knowarm.report.verdicts.query import query_findings
+from knowarm.report.write import build_pages
 from tests.report.synthetic_study import Size, choice_env, write_choice, write_run
 
 LIGHT = Size(points=8, episodes=400, tables=False)

@@ -11,10 +11,11 @@ from knowarm.config import to_dict
 from knowarm.report.blocks import Figure, Verdict, flat
 from knowarm.report.collect import collect
 from knowarm.report.model import StudyData, TaskData
-from knowarm.report.pages import build_pages, inputs
+from knowarm.report.pages import inputs
 from knowarm.report.verdicts.claims import claims, scores
 from knowarm.report.verdicts.knowledge import answer, finding, findings
 from knowarm.report.verdicts.learning import learning_verdict, vision_verdict
+from knowarm.report.write import build_pages
 from knowarm.statistics import area_under_curve, share_difference, wilson
 from tests.report.synthetic_study import (
     LABEL,

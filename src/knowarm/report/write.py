@@ -3,7 +3,7 @@
 import csv
 import math
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -14,12 +14,35 @@ from markupsafe import Markup
 from knowarm.errors import UserError
 from knowarm.escapes import csv_cell
 from knowarm.reading import read_json, replacing, write_json, writing
-from knowarm.report.blocks import DataTable, Figure, Page, Row, Verdict, flat
+from knowarm.report.blocks import (
+    TABLES,
+    Block,
+    DataTable,
+    Figure,
+    Page,
+    Row,
+    TaskPart,
+    Text,
+    Verdict,
+    flat,
+)
 from knowarm.report.charts import TEMPLATES
 from knowarm.report.collect import collect
 from knowarm.report.format import FORMATS, counted
 from knowarm.report.model import StudyData
-from knowarm.report.pages import build_pages
+from knowarm.report.pages import (
+    behaviour,
+    differences,
+    inputs,
+    knowledge,
+    paper,
+    query,
+    results,
+    runs,
+    training,
+)
+from knowarm.report.verdicts.claims import claims
+from knowarm.report.verdicts.query import query_findings
 from knowarm.svg import style_sheet
 
 DIGITS = 9  # significant digits of every written number
@@ -65,6 +88,49 @@ def write_report(
         # Lone surrogates become question marks.
         temporary.write_text(page, encoding="utf-8", errors="replace")
     return out
+
+
+def build_pages(study: StudyData) -> list[Page]:
+    """Build all pages that have something to show, in reading order."""
+    decided = claims(study)
+    understood = query_findings(study)
+
+    def per_task(
+        task_blocks: Callable[..., Sequence[Block]],
+        *more: Any,
+        intro: Sequence[str] = (),
+    ) -> list[Block]:
+        parts: list[Block] = []
+        for task in study.tasks:
+            blocks = task_blocks(task, *more)
+            if blocks:
+                parts.append(TaskPart(name=task.name, title=task.title, blocks=blocks))
+        if parts and intro:
+            parts.insert(0, Text(intro))
+        return parts
+
+    contents = {
+        "summary": runs.summary_blocks(study, decided, understood),
+        "inputs": per_task(inputs.input_blocks),
+        "training": per_task(training.training_blocks),
+        "results": per_task(results.result_blocks),
+        "query": per_task(query.query_blocks, understood, intro=query.EXPLANATION),
+        "knowledge": per_task(
+            knowledge.knowledge_blocks, decided, intro=knowledge.EXPLANATION
+        ),
+        "differences": per_task(
+            differences.difference_blocks, decided, intro=differences.EXPLANATION
+        ),
+        "paper": paper.paper_blocks(study),
+        "joints": per_task(behaviour.joint_blocks),
+        "episodes": per_task(behaviour.film_blocks),
+        "runs": runs.run_blocks(study),
+    }
+    pages = []
+    for name, blocks in contents.items():
+        if blocks:
+            pages.append(Page(name, **TABLES["pages"][name], blocks=blocks))
+    return pages
 
 
 def _write_data(study: StudyData, pages: Sequence[Page], out: Path) -> None:
