@@ -91,7 +91,7 @@ def _make_untrained(
     make_env: "MakeEnv",
     **options: Any,
 ) -> "Trainer":
-    from knowarm.learn.untrained import UntrainedTrainer
+    from knowarm.learn.trainer import UntrainedTrainer
 
     return UntrainedTrainer(policy, **options)
 

@@ -13,6 +13,7 @@ import numpy as np
 from knowarm.learn.checkpoint import (
     Checkpoint,
     CheckpointStore,
+    policy_arrays,
     prefixed,
     select,
     to_tensors,
@@ -261,6 +262,22 @@ class Trainer(ABC):
                 facts = {"step": step, **results}
                 self.checkpoints.save_best(Checkpoint(policy=parameters, facts=facts))
             self.hooks.on_evaluation(step, results, is_best)
+
+
+class UntrainedTrainer(Trainer):
+    """Saves the initial weights and ends, for agents that act without a policy; see `Trainer`."""
+
+    def _train(self, total_steps: int) -> StopReason:
+        self.step = total_steps
+        if self.checkpoints is not None:
+            facts = {"step": self.step}
+            checkpoint = Checkpoint(policy=policy_arrays(self.policy), facts=facts)
+            self.checkpoints.save_best(checkpoint)
+            self._save(checkpoint)
+        return "finished"
+
+    def restore(self, checkpoint: Checkpoint) -> None:
+        """Restore nothing more."""
 
 
 class SynchronousTrainer(Trainer):

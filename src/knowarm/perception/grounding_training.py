@@ -1,7 +1,7 @@
 """Training of grounding networks on images of the simulator, with a cache of the results."""
 
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -9,10 +9,12 @@ from typing import NamedTuple, cast
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
+from torch.optim import Adam
+from torch.optim.lr_scheduler import OneCycleLR
 
 from knowarm.cores import torch_threads
-from knowarm.learn.checkpoint import Tensors, to_arrays, to_tensors
+from knowarm.learn.checkpoint import Tensors, prefixed, select, to_arrays, to_tensors
 from knowarm.learn.optimizer import resolve_precision
 from knowarm.perception.config import GroundingConfig, GroundingSpec
 from knowarm.perception.grounding import (
@@ -27,16 +29,18 @@ from knowarm.perception.images import (
     query_answers,
     sample_images,
 )
-from knowarm.perception.training import (
-    PassProgress,
-    Report,
-    ShouldStop,
-    Step,
-    minimize,
-)
 from knowarm.seeding import derive_seed, torch_generator
 from knowarm.world.cache import cache_file, read_arrays, write_arrays
 from knowarm.world.config import EnvConfig
+
+Step = tuple[int, Tensor, Tensor]
+"""Number of images of a gradient step, the loss that is minimized, and the one that is reported."""
+
+Report = Callable[[str], None]
+"""Receives a line of text."""
+
+ShouldStop = Callable[[], bool]
+"""Called at every gradient step; true ends the training."""
 
 FRAME_COEF = 10.0
 """Weight of the squared error of the grasp frames of all visible objects."""
@@ -273,3 +277,89 @@ def _read(file: Path, network: GroundingNetwork, trained: tuple[str, ...]) -> bo
 
 def _shapes(tensors: Tensors) -> dict[str, torch.Size]:
     return {name: value.shape for name, value in tensors.items()}
+
+
+@dataclass(frozen=True)
+class PassProgress:
+    """A file in the user's cache with the state of `minimize` after its last whole pass."""
+
+    file: Path
+    sampler: ImageSampler  # draws the images of the steps
+    generator: torch.Generator  # draws all else
+
+    def save(
+        self, number: int, module: nn.Module, optimizer: Adam, schedule: OneCycleLR
+    ) -> None:
+        """Store the state after a pass."""
+        group = optimizer.param_groups[0]
+        arrays = {
+            "number": np.array(number),
+            "rate": np.array([group["lr"], *group["betas"]]),
+            "step": np.array(schedule.last_epoch),
+            **prefixed("module/", to_arrays(module.state_dict())),
+        }
+        for index, moments in optimizer.state_dict()["state"].items():
+            arrays |= prefixed(f"adam/{index}/", to_arrays(moments))
+        arrays["draws/generator"] = self.generator.get_state().numpy()
+        write_arrays(self.file, arrays | prefixed("draws/", self.sampler.get_state()))
+
+    def restore(self, module: nn.Module, optimizer: Adam, schedule: OneCycleLR) -> int:
+        """Restore the stored state, if there is one; return the number of passes done."""
+        arrays = read_arrays(self.file)
+        if arrays is None:
+            return 0
+        module.load_state_dict(to_tensors(select(arrays, "module/")))
+        state = optimizer.state_dict()
+        for index in state["param_groups"][0]["params"]:
+            state["state"][index] = to_tensors(select(arrays, f"adam/{index}/"))
+        optimizer.load_state_dict(state)
+        rate, *betas = arrays["rate"].tolist()
+        optimizer.param_groups[0].update(lr=rate, betas=tuple(betas))
+        schedule.last_epoch = int(arrays["step"])
+        draws = select(arrays, "draws/")
+        self.generator.set_state(torch.from_numpy(draws.pop("generator")))
+        self.sampler.set_state(draws)
+        return int(arrays["number"])
+
+
+def minimize(
+    module: nn.Module,
+    config: GroundingConfig,
+    steps: Callable[[int], Iterator[Step]],
+    passes: int,
+    name: str,
+    report: Report,
+    should_stop: ShouldStop,
+    progress: PassProgress | None = None,
+) -> bool:
+    """Minimize the losses of each pass's steps with Adam; return whether it was not stopped.
+
+    Parameters that need no gradient stay as they are. With ``progress`` a minimization that was
+    stopped continues after its last whole pass, as if it had not been stopped.
+    """
+    count = -(-config.images // config.batch) * passes
+    trained = [
+        parameter for parameter in module.parameters() if parameter.requires_grad
+    ]
+    optimizer = Adam(trained, config.learning_rate)
+    schedule = OneCycleLR(optimizer, config.learning_rate, total_steps=max(2, count))
+    passes_done = 0
+    if progress is not None:
+        passes_done = progress.restore(module, optimizer, schedule)
+    if passes_done:
+        report(f"{name} {passes_done} of {passes}: done before")
+    for number in range(passes_done + 1, passes + 1):
+        total = 0.0
+        for images, loss, reported in steps(number):
+            if should_stop():
+                return False
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+            schedule.step()
+            total += float(reported.detach()) * images
+        report(f"{name} {number} of {passes}: loss {total / config.images:.3f}")
+        if progress is not None:
+            progress.save(number, module, optimizer, schedule)
+    module.eval().requires_grad_(False)
+    return True
