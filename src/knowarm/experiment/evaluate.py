@@ -304,10 +304,14 @@ def known_in_test(trained: TrainedAgent, subject: Subject) -> PolicyAgent:
             f"{config.agent!r} does not. Leave them out, or reason by the graph."
         )
     is_own = subject.graph is None and reasoning is None and config is trained.config
+    shows_own = is_own and facets_of(env) == facets_of(config.env)
+    asks_own = shows_own and env.task.asked == config.env.task.asked
     if is_own and not answers_by_graph(knows):
         return trained.agent
+    if asks_own and not is_unclear:
+        return trained.agent
     table = None
-    if is_own and facets_of(env) == facets_of(config.env):
+    if shows_own:
         table = trained.table
     knowledge = knows.known(
         env,
