@@ -25,7 +25,7 @@ from knowarm.reading import digest, read_bytes, reading
 from knowarm.world.agents import SCRIPTED_AGENTS
 from knowarm.world.agents.protocol import INPUTS, AgentProtocol
 from knowarm.world.agents.scripted import InformedAgent, OpenLoopAgent
-from knowarm.world.config import EnvConfig, facets_of, questions_of
+from knowarm.world.config import EnvConfig, facets_of, questions_of, row_names
 from knowarm.world.description import SUFFIX
 from knowarm.world.envs.vector_env import ArmVectorEnv
 
@@ -196,7 +196,7 @@ def _exported(spec: str, folder: Path) -> Entrant:
     has_words = len(policy.rows) > 1
 
     def make(cell: Cell, env: ArmVectorEnv) -> AgentProtocol:
-        asked = env.config.task.asked.knowledge_rows(env.facets)
+        asked = row_names(env.config)
         if has_words and set(asked).difference(policy.rows):
             raise UserError(
                 f"{spec} knows other facets or queries than those of {cell.name}."

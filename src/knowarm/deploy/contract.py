@@ -29,7 +29,7 @@ from knowarm.experiment.load import TrainedAgent
 from knowarm.perception import grounding
 from knowarm.perception.recognition import FrameRecognition
 from knowarm.reading import digest, read_bytes, replacing, write_json, writing
-from knowarm.world.config import facets_of, scene_of
+from knowarm.world.config import row_names, scene_of
 from knowarm.world.envs.running import joint_increments
 from knowarm.world.robots.robot import FINGERS_JOINT
 from knowarm.world.scene.compose import CONTROL_PERIOD_S
@@ -88,7 +88,7 @@ def deployment(trained: TrainedAgent, joint_map: Path | None = None) -> Deployme
             "A run of the algorithm 'seen' has no policy to take out of the simulator: inverse "
             "kinematics act in its place. Train one, e.g. with the algorithm 'distil'."
         )
-    rows = env.task.asked.knowledge_rows(facets_of(env))
+    rows = row_names(env)
     table = trained.table
     step = None
     recognized: Description | None = None

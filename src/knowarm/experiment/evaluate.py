@@ -20,7 +20,7 @@ from knowarm.experiment.evaluation import (
     Subject,
     step_columns,
 )
-from knowarm.experiment.knows import answers_by_graph, reason_by, row_names
+from knowarm.experiment.knows import answers_by_graph, reason_by
 from knowarm.experiment.load import TrainedAgent, load_agent
 from knowarm.experiment.run import Run
 from knowarm.experiment.summary import (
@@ -40,7 +40,7 @@ from knowarm.questions import Query
 from knowarm.reading import write_json, writing
 from knowarm.world.agents import AgentProtocol
 from knowarm.world.agents.play import EpisodeResults, play
-from knowarm.world.config import EnvConfig, facets_of
+from knowarm.world.config import EnvConfig, facets_of, row_names
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.robots import find_robot

@@ -27,7 +27,7 @@ from knowarm.knowledge.queries.queries import QueryGraph
 from knowarm.perception.config import FRAME, GroundingConfig
 from knowarm.questions import ObjectColour, Query, QuestionTable
 from knowarm.seeding import derive_seed
-from knowarm.world.config import EnvConfig, facets_of, questions_of
+from knowarm.world.config import EnvConfig, facets_of, questions_of, row_names
 from knowarm.world.tasks.task import Task
 
 if TYPE_CHECKING:  # These import torch, which reading a config does not need.
@@ -297,11 +297,6 @@ def read_known_graph(knows: Knows) -> KnowledgeGraph | None:
     if isinstance(knows, NoKnowledge):
         return None
     return read_graph(knows.graph)
-
-
-def row_names(env: EnvConfig) -> list[str]:
-    """Name the rows of the knowledge table of a task."""
-    return env.task.asked.knowledge_rows(facets_of(env))
 
 
 def asked(env: EnvConfig) -> QuestionTable:

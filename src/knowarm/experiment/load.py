@@ -14,7 +14,7 @@ from knowarm.config import from_dict
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig, Which
 from knowarm.experiment.hub import pull_from_hub
-from knowarm.experiment.knows import Knowledge, NoKnowledge, row_names
+from knowarm.experiment.knows import Knowledge, NoKnowledge
 from knowarm.experiment.other_graphs import check_graph, with_graph
 from knowarm.experiment.run_folder import RunFolder, given_network, stored_network
 from knowarm.experiment.zoo import open_run
@@ -30,7 +30,7 @@ from knowarm.policy import Policy, PolicyAgent, PolicyConfig, PolicyShape
 from knowarm.questions import find_rows
 from knowarm.reading import one_line, reading
 from knowarm.world.agents.protocol import Batch
-from knowarm.world.config import EnvConfig, facets_of, questions_of
+from knowarm.world.config import EnvConfig, facets_of, questions_of, row_names
 
 log = logging.getLogger("knowarm.experiment")
 

@@ -181,3 +181,8 @@ def facets_of(config: EnvConfig) -> tuple[tuple[str, str], ...]:
 def questions_of(config: EnvConfig) -> QuestionTable | None:
     """Return the questions of a config's task; None if its episodes have none."""
     return config.task.asked.questions(facets_of(config))
+
+
+def row_names(config: EnvConfig) -> list[str]:
+    """Name the rows of the knowledge table of a config's task."""
+    return config.task.asked.knowledge_rows(facets_of(config))

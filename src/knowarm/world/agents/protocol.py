@@ -9,7 +9,7 @@ import numpy as np
 from knowarm.arrays import Array, Floats, Integers, Names
 from knowarm.errors import UserError
 from knowarm.questions import find_rows
-from knowarm.world.config import EnvConfig, facets_of, questions_of, scene_of
+from knowarm.world.config import EnvConfig, questions_of, row_names, scene_of
 from knowarm.world.envs.running import joint_increments
 from knowarm.world.envs.single_env import ArmEnv, vector_of
 from knowarm.world.envs.vector_env import ArmVectorEnv
@@ -40,9 +40,7 @@ class Batch:
     @classmethod
     def of(cls, env: ArmVectorEnv) -> Self:
         """Describe the episodes that have just started in an environment."""
-        names = np.array(env.config.task.asked.knowledge_rows(env.facets))[
-            env.knowledge_input
-        ]
+        names = np.array(row_names(env.config))[env.knowledge_input]
         joints = dict(
             zip(env.scene.joint_names, env.joint_positions.T.copy(), strict=True)
         )
@@ -60,10 +58,8 @@ class Batch:
         """Row of each episode's facet or query among ``task.asked.knowledge_rows``, (n,)."""
         if self.own_rows is not None:
             return self.own_rows
-        task = self.env.task
-        names = task.asked.knowledge_rows(facets_of(self.env))
-        rows = {name: row for row, name in enumerate(names)}
-        return find_rows(task.asked.knowledge_info, self.names, rows)
+        rows = {name: row for row, name in enumerate(row_names(self.env))}
+        return find_rows(self.env.task.asked.knowledge_info, self.names, rows)
 
     @property
     def queries(self) -> tuple[str, ...] | None:

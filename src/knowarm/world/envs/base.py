@@ -19,7 +19,7 @@ from knowarm.arrays import (
     Mask,
 )
 from knowarm.errors import UserError, unknown_name, warn
-from knowarm.world.config import EnvConfig, facets_of, scene_of
+from knowarm.world.config import EnvConfig, row_names, scene_of
 from knowarm.world.envs.arguments import Options, Seeds
 from knowarm.world.envs.running import RunningEpisodes
 from knowarm.world.render.renderer import Renderer, make_renderer
@@ -264,7 +264,7 @@ def _checked_table(
                 "observe=('image', 'knowledge')."
             )
         return np.zeros((0, 0), np.float32)
-    rows = config.task.asked.knowledge_rows(facets_of(config))
+    rows = row_names(config)
     if knowledge is None:
         knowledge = []
     table = np.asarray(knowledge, np.float32)

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from knowarm.arrays import Array, Floats32, Integers, Mask
 from knowarm.errors import UserError
-from knowarm.world.config import EnvConfig
+from knowarm.world.config import EnvConfig, row_names
 from knowarm.world.envs.base import BaseVectorEnv, Infos, draw_images
 from knowarm.world.envs.privileged import privileged_columns, privileged_state
 from knowarm.world.tasks.skills.teacher import COARSE_LEVELS, Teacher
@@ -75,7 +75,7 @@ class TorchArmVectorEnv(BaseVectorEnv[Tensor]):
         side = config.image_size
         self._final_images = np.zeros((num_envs, side, side, 3), np.uint8)
         self._final_tensor = self._tensor(self._final_images)
-        rows = len(config.task.asked.knowledge_rows(self.facets))
+        rows = len(row_names(config))
         if table is None:
             table = np.zeros((rows, 0), np.float32)
         self._table = self._tensor(table)
