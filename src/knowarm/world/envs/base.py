@@ -20,8 +20,7 @@ from knowarm.arrays import (
 )
 from knowarm.errors import UserError, unknown_name, warn
 from knowarm.world.config import EnvConfig, row_names, scene_of
-from knowarm.world.envs.arguments import Options, Seeds
-from knowarm.world.envs.running import RunningEpisodes
+from knowarm.world.envs.running import Options, RunningEpisodes, Seeds
 from knowarm.world.render.renderer import Renderer, make_renderer
 from knowarm.world.scene.scene import Scene
 from knowarm.world.tasks.state import ACTION_LEVELS, NamedArrays

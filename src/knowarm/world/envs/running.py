@@ -1,22 +1,17 @@
 """Running episodes: state of n environments, and how a step changes it."""
 
 from collections.abc import Callable
+from operator import index
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from knowarm.arrays import Floats, Indices, Integers, Mask
 from knowarm.errors import UserError
 from knowarm.questions import find_rows, number_objects
 from knowarm.world.backend import MujocoSimulator
 from knowarm.world.config import EnvConfig, setting_of
-from knowarm.world.envs.arguments import (
-    Options,
-    Seeds,
-    check_state,
-    masked_ids,
-    spread_seeds,
-)
 from knowarm.world.envs.episodes import EpisodeSource
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.appearance import AppearanceSource, Shown
@@ -32,6 +27,12 @@ from knowarm.world.tasks.state import (
     returned,
     returned_rows,
 )
+
+Seeds = int | list[int | None] | None
+"""Seed of the first environment, one per environment, or none."""
+
+Options = dict[str, Any]
+"""Options of an environment or of its reset, by name."""
 
 _STATE = (
     "streams",
@@ -343,3 +344,55 @@ def _put(array: Any, ids: Indices, values: Any) -> Any:
     result = array.copy()
     result[ids] = values
     return result
+
+
+def check_state(mine: NamedArrays, state: NamedArrays) -> None:
+    """Check that a state has arrays of the same names and shapes as the environment's own."""
+    expected = {name: array.shape for name, array in sorted(mine.items())}
+    got = {name: array.shape for name, array in sorted(state.items())}
+    if got != expected:
+        raise UserError(
+            f"The state belongs to another environment: its arrays are {got}, those of "
+            f"this environment are {expected}. Use the same robot, targets and number of "
+            "environments."
+        )
+
+
+def masked_ids(mask: ArrayLike | None, num_envs: int) -> Indices:
+    """Return the indices of a reset mask, an array or a tensor; all of them for None."""
+    if mask is None:
+        return np.arange(num_envs)
+    if hasattr(mask, "cpu"):
+        mask = mask.cpu()
+    array = np.asarray(mask)
+    if array.shape != (num_envs,) or array.dtype != np.bool_ or not array.any():
+        raise UserError(
+            f"options['reset_mask'] must be a bool array of shape ({num_envs},) with at "
+            f"least one True, got {array.dtype} of shape {array.shape}."
+        )
+    return np.flatnonzero(array)
+
+
+def spread_seeds(seed: Seeds, num_envs: int) -> tuple[Mask, Words]:
+    """Expand Gymnasium's seed argument to one seed per environment: seed, seed + 1, ...
+
+    Return which environments get a seed, (n,), and the seeds, 0 for the others, (n,).
+    """
+    seeds: Any = seed
+    if seed is None:
+        seeds = np.full(num_envs, None)
+    elif isinstance(seed, int | np.integer):
+        seeds = range(int(seed), int(seed) + num_envs)
+    values = np.atleast_1d(np.array(seeds, object))
+    is_seeded = np.not_equal(values, np.array(None))
+    values[~is_seeded] = 0
+    allowed = f"an integer or a list of {num_envs} (one per environment)"
+    try:
+        integers = np.array([*map(index, values)], object)
+    except TypeError:
+        raise UserError(f"seed must be {allowed}, got {seed!r}.") from None
+    if len(integers) != num_envs:
+        raise UserError(f"seed must be {allowed}, got {len(integers)}.")
+    if (integers < 0).any():
+        raise UserError(f"seed must not be negative, got {seed}.")
+    return is_seeded, (integers % 2**64).astype(np.uint64)
