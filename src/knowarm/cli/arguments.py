@@ -1,4 +1,4 @@
-"""Parsing of the command line: groups of commands, options, and names that come first."""
+"""Parsing of the command line: groups of commands, and options."""
 
 import re
 import sys
@@ -361,21 +361,6 @@ def _is_tag(name: str, kind: Any, is_one_of: bool) -> bool:
     if get_origin(kind) is not Literal:
         return False
     return len(get_args(kind)) == 1 or (is_one_of and name in TAGS)
-
-
-def take_experiment(arguments: Sequence[str], usage: str) -> tuple[str, list[str]]:
-    """Return the name of an experiment, which comes first, and the other words.
-
-    Without a name the usage is printed and the process ends.
-    """
-    if not arguments or arguments[0] in HELP:
-        print(usage, file=sys.stdout if arguments else sys.stderr)
-        sys.exit(0 if arguments else 2)
-    name, *words = arguments
-    if name.startswith("-"):
-        problem = f"The first argument must be the name of an experiment, got {name}"
-        raise UserError(f"{problem}; `knowarm list` explains their names.")
-    return name, words
 
 
 def take_option(

@@ -4,6 +4,7 @@ What imports torch, which takes seconds, is imported after the options are read.
 """
 
 import shlex
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,10 +13,10 @@ from typing import Annotated
 from tyro.conf import Suppress, arg
 
 from knowarm.cli.arguments import (
+    HELP,
     OWN,
     answer_help,
     parse_options,
-    take_experiment,
     take_option,
     take_source,
 )
@@ -84,7 +85,7 @@ class Train:
     @classmethod
     def parse(cls, prog: str, arguments: Sequence[str]) -> "Train":
         """Parse the options over the values of the experiment, or those of the run to resume."""
-        name, words = take_experiment(arguments, USAGE)
+        name, words = _take_name(arguments)
         words, file = take_option(words, "--config", "run.toml")
         values = {} if file is None else read_toml(Path(file))
         words, task = take_option(words, "--env.task", "package.module:Name")
@@ -175,6 +176,23 @@ class Train:
         print(f"Evaluate it with: {shell_command('evaluate', path)}{self.own}")
         print(f"Compare runs with: {shell_command('report', self.runs)}{self.own}")
         return 0
+
+
+def _take_name(arguments: Sequence[str]) -> tuple[str, list[str]]:
+    """Return the name of the experiment, which comes first, and the other words.
+
+    Without a name the usage is printed and the process ends.
+    """
+    if not arguments or arguments[0] in HELP:
+        print(USAGE, file=sys.stdout if arguments else sys.stderr)
+        sys.exit(0 if arguments else 2)
+    name, *words = arguments
+    if name.startswith("-"):
+        raise UserError(
+            f"The first argument must be the name of an experiment, got {name}; `knowarm list` "
+            "explains their names."
+        )
+    return name, words
 
 
 @dataclass(frozen=True, kw_only=True)
