@@ -9,7 +9,7 @@ import torch
 
 from knowarm.errors import UserError
 from knowarm.experiment.agents import AGENTS
-from knowarm.experiment.evaluate import evaluate
+from knowarm.experiment.evaluate import evaluate, known_in_test
 from knowarm.experiment.evaluation import (
     DamageTest,
     GraphTest,
@@ -50,6 +50,10 @@ def test_an_agent_trains_with_the_answers_of_its_graph_and_plays_from_its_folder
     assert (trained.agent.recognition.knowledge.numpy() == satisfies).all()
     result = evaluate(trained, **{**BRIEF, "episodes": 8})
     assert set(result.episodes["visible_answers"]) <= {0, 1, 2, 3, 4}
+    subject = Subject(env=config.env, config=config)
+    assert known_in_test(trained, subject) is trained.agent
+    others = SplitTest(split="S1").prepare(subject)
+    assert known_in_test(trained, others) is not trained.agent
     by_vector = evaluate(
         trained, test=(ReasoningTest(by="vector"),), **{**BRIEF, "episodes": 8}
     )
