@@ -51,13 +51,17 @@ class Fence:
     Args:
         function: of arguments that can be pickled, as what it returns.
         size: of its input [bytes], which limits its time and memory.
+        opens: whether it may open files and connections.
     """
 
     is_inside = False
     """Whether this process is fenced itself, or cannot be: functions are called in it."""
 
-    def __init__(self, function: Callable[..., Any], *, size: int = 0) -> None:
+    def __init__(
+        self, function: Callable[..., Any], *, size: int = 0, opens: bool = True
+    ) -> None:
         self._function = function
+        self._opens = opens
         self._seconds = math.ceil(SECONDS * (1 + size / 2**20))
         self._memory = MEMORY + 200 * size
         self._process = 0
@@ -148,6 +152,8 @@ class Fence:
             gc.freeze()
             unlock_cached_properties()
             _set_limits(self._memory)
+            if not self._opens:
+                _limit("NOFILE", 0)  # but for what is open
             while True:
                 arguments = pipe.recv()
                 _limit("CPU", math.ceil(time.process_time()) + self._seconds)
@@ -156,9 +162,11 @@ class Fence:
             os._exit(1)
 
 
-def fenced(function: Callable[..., T], *arguments: Any, size: int = 0) -> T:
+def fenced(
+    function: Callable[..., T], *arguments: Any, size: int = 0, opens: bool = True
+) -> T:
     """Call a function once in a process with limits; see `Fence`."""
-    fence = Fence(partial(function, *arguments), size=size)
+    fence = Fence(partial(function, *arguments), size=size, opens=opens)
     if Fence.is_inside:
         return fence()
     with _ROOM, closing(fence):

@@ -2,6 +2,8 @@
 
 import http.server
 import io
+import os
+import re
 import threading
 import zipfile
 
@@ -50,6 +52,16 @@ def server():
         "SELECT * FROM <URL> { ?s ?p ?o }",
         "# {\nSELECT * FROM <URL> { ?s ?p ?o }",
         "SELECT * FROM NAMED <URL> { GRAPH ?g { ?s ?p ?o } }",
+        "SELECT * FROM<URL> { ?s ?p ?o }",
+        "DESCRIBE <URL>FROM<URL>",
+        # What begins no comment and no string: a part of an IRI
+        "SELECT * { SERVICE <URL\\u0041#> { ?s ?p ?o } }",
+        "SELECT * { SERVICE <URL\\u0041'> { ?s ?p ?o } } #'",
+        "SELECT * { SERVICE <URL\xa0#> { ?s ?p ?o } }",
+        "SELECT * { SERVICE <URL\u2003'> { ?s ?p ?o } } #'",
+        # A space of Unicode is a letter of a name, and a carriage return ends a comment.
+        "PREFIX a: <URL> SELECT * { SERVICE a:x\u1680y { ?s ?p ?o } }",
+        "SELECT * { # c\rSERVICE <URL> { ?s ?p ?o }\n}",
     ],
 )
 def test_queries_do_not_reach_the_network(server, query):
@@ -57,6 +69,29 @@ def test_queries_do_not_reach_the_network(server, query):
     with pytest.raises(UserError, match="SPARQL query"):
         sparql(household(), query.replace("URL", url))
     assert requests == []
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="Windows has no fence")
+def test_a_query_that_is_taken_for_a_harmless_one_opens_no_connection(
+    server, monkeypatch
+):
+    url, requests = server
+    monkeypatch.setattr("knowarm.knowledge.queries.sparql._REMOTE", re.compile("(?!)"))
+    with pytest.raises(UserError, match="SPARQL query: Too many open files"):
+        sparql(household(), f"SELECT * {{ SERVICE <{url}> {{ ?s ?p ?o }} }}")
+    assert requests == []
+
+
+@pytest.mark.parametrize(
+    "query",
+    [
+        "SELECT ?service { ?service :service ?from . OPTIONAL { ?service :from ?x } }",
+        "PREFIX from: <http://x/> SELECT * { from:service ?p 'FROM', \"SERVICE <x> {\" }",
+        "SELECT * { ?s <http://x/service> ?o { ?s :to-service ?from } } # FROM <x>",
+    ],
+)
+def test_names_and_strings_are_no_remote_data(query):
+    assert sparql(household(), query).rows == ()
 
 
 def test_a_json_ld_context_is_not_fetched(server, tmp_path):

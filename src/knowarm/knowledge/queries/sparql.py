@@ -29,13 +29,13 @@ T = TypeVar("T")
 EXAMPLE = "SELECT ?colour WHERE { :mug :hasColor ?colour }"
 _QUIET = (
     r'"{3}(?:[^\\]|\\.)*?"{3}|' + r"'{3}(?:[^\\]|\\.)*?'{3}|"
-    r""""(?:[^"\\\n]|\\.)*"|'(?:[^'\\\n]|\\.)*'|\\.|(?P<comment>\#[^\n]*)"""
+    r""""(?:[^"\\\n]|\\.)*"|'(?:[^'\\\n]|\\.)*'|\\.|(?P<comment>\#[^\r\n]*)"""
 )
 """Strings, escaped characters and comments."""
-_IRI = r"""<[^<>"{}|^`\\\s]*>"""
-_QUIET_OR_IRI = re.compile(f"{_IRI}|{_QUIET}", re.DOTALL)
+_IRI = r"""<(?:[^<>"{}|^`\\\0-\x20]|\\[uU])*>"""
+_QUIET_OR_IRI = re.compile(f"(?P<iri>{_IRI})|{_QUIET}", re.DOTALL)
 _REMOTE = re.compile(
-    r"([:?$@]?)[\w%-]*?(service(?=\s*(?:silent\s*)?[^\s{}]*\s*\{)|\bfrom\b(?!:))",
+    r"([:?$@]?)[\w%-]*?(service(?=\s*(?:silent\s*)?[^\0-\x20{}]*\s*\{)|\bfrom\b(?!:))",
     re.IGNORECASE,
 )
 """Keywords that refer to other data; after the first group it is the name of a thing."""
@@ -83,7 +83,7 @@ class SparqlQuery:
     """
 
     def __init__(self, graph: KnowledgeGraph, query: str) -> None:
-        for match in _REMOTE.finditer(_keywords(query, "_")):
+        for match in _REMOTE.finditer(_keywords(query, "_", "<>")):
             if not match[1]:
                 raise UserError(
                     f"SPARQL query: {match[2].upper()} refers to other data, but a query reads the "
@@ -151,7 +151,7 @@ class SparqlQuery:
             return True
         if "\\" in self.query or "%" in self.query:  # other spellings of the name
             return True
-        return _ANY_RELATION.search(_keywords(self.query, " _ ")) is not None
+        return _ANY_RELATION.search(_keywords(self.query, " _ ", " _ ")) is not None
 
     def _run(self, name: Callable[[Any], str], about: str | None) -> Answer:
         """Run the query; ``name`` gives the terms their names."""
@@ -224,15 +224,16 @@ class SparqlQuery:
         )
 
 
-def _keywords(query: str, mark: str) -> str:
-    """Return a query with a mark for strings and IRIs, and without comments."""
-    return _QUIET_OR_IRI.sub(lambda quiet: " " if quiet["comment"] else mark, query)
+def _keywords(query: str, mark: str, iri: str) -> str:
+    """Return a query with a mark for strings, another one for IRIs, and without comments."""
+    marks = {"comment": " ", "iri": iri, None: mark}
+    return _QUIET_OR_IRI.sub(lambda token: marks[token.lastgroup], query)
 
 
 def limited(function: Callable[..., T], *arguments: Any) -> T:
-    """Call a function that runs queries in a process with limits of time and memory."""
+    """Call a function that runs queries in a process with limits, which opens no connection."""
     try:
-        return fenced(function, *arguments)
+        return fenced(function, *arguments, opens=False)
     except UserError:
         raise
     except ValueError as error:
