@@ -88,6 +88,20 @@ def test_what_is_not_at_hand_is_named(tmp_path, files):
     assert graph.stated().missing == graph.missing
 
 
+@pytest.mark.parametrize(
+    "way", ["%2e%2e/secret.ttl", "..%2Fsecret.ttl", "FOLDER/../secret.ttl", "../secret.ttl"]
+)  # fmt: skip
+def test_no_address_leads_out_of_the_folder(tmp_path, way):
+    folder = tmp_path / "downloaded"
+    write(tmp_path, "secret.ttl", PREFIXES + ":my :password :hunter2 .")
+    address = way.replace("FOLDER", folder.as_uri())
+    folder.mkdir()
+    text = f"<http://e.org/o> a owl:Ontology ; owl:imports <{address}> ."
+    graph, messages = read(folder, text)
+    assert not any("hunter2" in tail for _, _, tail in graph)
+    assert any("not at hand" in message for message in messages)
+
+
 def test_circles_of_imports_end_and_files_import_on(tmp_path):
     write(
         tmp_path,

@@ -1,5 +1,6 @@
 """Imports of ontologies: files at hand that hold them. Nothing is fetched."""
 
+import os
 import re
 import warnings
 import xml.etree.ElementTree as ElementTree
@@ -135,7 +136,7 @@ def _in_catalog(name: str, folder: Path) -> Iterator[Path]:
 def _by_name(name: str, folder: Path) -> Iterator[Path]:
     """Yield the files of a folder with the name of an ontology."""
     address = urlsplit(_plain(name))
-    file = Path(unquote(address.path))
+    file = Path(os.path.normpath(unquote(address.path)))
     if address.scheme == "file" and file.is_relative_to(folder):
         yield file
     if file.name:
