@@ -1,6 +1,8 @@
 """Every defect of a stored file is one kind of error, on one line."""
 
+import errno
 import json
+import os
 
 import numpy as np
 import pytest
@@ -112,9 +114,10 @@ def test_no_prepared_link_is_written_through(tmp_path, monkeypatch):
 
 
 def test_links_out_of_a_folder_are_refused(tmp_path):
-    folder = tmp_path / "snapshots" / "run"
+    repository = tmp_path / "models--someone--reach"
+    folder = repository / "snapshots" / "1f"
     (folder / "evaluation").mkdir(parents=True)
-    (tmp_path / "blobs").mkdir()
+    (repository / "blobs").mkdir()
     (folder / "a").symlink_to("b")
     (folder / "evaluation" / "up").symlink_to("..")
     (folder / "weights").symlink_to("../../blobs/1f")  # as the Hub's cache keeps files
@@ -133,3 +136,21 @@ def test_links_out_of_a_folder_are_refused(tmp_path):
         ):
             refuse_links(folder)
         link.unlink()
+    other = repository.rename(tmp_path / "home")  # where blobs may be the user's
+    with pytest.raises(UserError, match="weights is a link to "):
+        refuse_links(other / "snapshots" / "1f")
+
+
+def test_a_folder_that_cannot_be_listed_may_hold_links(tmp_path, monkeypatch):
+    """Files in one without the permission to read are opened by their names all the same."""
+    (tmp_path / "evaluation").mkdir()
+    scandir = os.scandir
+
+    def unlisted(path):
+        if "evaluation" in str(path):
+            raise PermissionError(errno.EACCES, "Permission denied", path)
+        return scandir(path)
+
+    monkeypatch.setattr("os.scandir", unlisted)
+    with pytest.raises(UserError, match=r"Cannot read .*evaluation: Permission denied"):
+        refuse_links(tmp_path)

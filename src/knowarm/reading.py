@@ -131,11 +131,26 @@ def new_folder(folder: Path) -> Iterator[Path]:
 def refuse_links(folder: Path) -> None:
     """Refuse a folder with links that lead out of it: they would name files of the user.
 
-    Links to ``../../blobs`` stay: in the cache of the Hugging Face Hub the files lie there.
+    Links from ``models--*/snapshots/*`` to ``../../blobs`` stay: there the cache of the Hugging
+    Face Hub keeps the files of the same repository.
+
+    Raises:
+        UserError: it holds such a link, or a folder that cannot be listed.
     """
     root = Path(os.path.realpath(folder))
-    blobs = root.parent.parent / "blobs"
-    for parent, folders, files in os.walk(folder):
+    blobs = None
+    if root.match("models--*/snapshots/*"):
+        blobs = root.parent.parent / "blobs"
+
+    def refuse(error: OSError) -> None:
+        if not isinstance(
+            error, FileNotFoundError
+        ):  # a part of a file that was written
+            raise UserError(
+                f"Cannot read {error.filename}: {error.strerror}."
+            ) from error
+
+    for parent, folders, files in os.walk(folder, onerror=refuse):
         for name in (*folders, *files):
             path = Path(parent, name)
             if not path.is_symlink():
