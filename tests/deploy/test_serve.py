@@ -12,6 +12,7 @@ import time
 import urllib.request
 from functools import partial
 from pathlib import Path
+from urllib.error import HTTPError
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ from knowarm.world.agents.protocol import Batch
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
+from tests.forked import Forked
 
 pytest.importorskip("websockets")
 pytest.importorskip("msgpack")
@@ -248,9 +250,34 @@ def test_a_client_refuses_an_answer_without_joint_targets(answer):
             played.act({"image": IMAGE[None], "joint_targets": targets})
 
 
+@pytest.mark.parametrize("names", [np.arange(6), [np.arange(2)] * 6, "joints"])
+def test_a_client_refuses_a_server_of_other_joints_however_it_names_them(parts, names):
+    def reply(connection):
+        connection.send(pack({"joints": {"names": names}}))
+        connection.recv()
+
+    with serve(reply, "127.0.0.1", 0) as other:
+        threading.Thread(target=other.serve_forever, daemon=True).start()
+        played = Client(f"ws://127.0.0.1:{other.socket.getsockname()[1]}")
+        joints = dict.fromkeys(parts.contract["joints"]["names"], np.zeros(1))
+        with pytest.raises(UserError, match="moves other joints than"):
+            played.reset(
+                Batch(env=EnvConfig(), names=np.array(["mug/red"]), joints=joints)
+            )
+
+
 def test_healthz(server):
     with urllib.request.urlopen(f"http://127.0.0.1:{server.port}/healthz") as answer:
         assert (answer.status, answer.read()) == (200, b"OK\n")
+
+
+@pytest.mark.parametrize("headers", [{"Host": "evil.example"}, {"Origin": "http://a"}])
+def test_healthz_answers_no_page_of_another_site(server, headers):
+    request = urllib.request.Request(
+        f"http://127.0.0.1:{server.port}/healthz", headers=headers
+    )
+    with pytest.raises(HTTPError, match="403"):
+        urllib.request.urlopen(request)
 
 
 def packed(array):
@@ -530,6 +557,74 @@ def test_a_server_whose_socket_the_system_ends_says_so(parts, monkeypatch):
         pytest.raises(UserError, match="stopped listening"),
     ):
         server.run()
+
+
+def closed_before(server):
+    server.close()
+    server.run()
+
+
+def closed_twice(server):
+    thread = threading.Thread(target=server.run, daemon=True)
+    thread.start()
+    server.close()
+    server.close()
+    thread.join()
+
+
+def closed_and_run_again(server):
+    threading.Timer(0.1, server.close).start()
+    server.run()
+    server.run()
+
+
+def run_by_two(server):
+    other = threading.Thread(target=server.run, daemon=True)
+    other.start()
+    closed_and_run_again(server)
+    other.join()
+
+
+def closed_by_two(server):
+    threads = [threading.Thread(target=server.close, daemon=True) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    server.run()
+
+
+@pytest.mark.parametrize(
+    "use",
+    [closed_before, closed_twice, closed_and_run_again, run_by_two, closed_by_two],
+)
+def test_a_server_is_closed_at_any_time_and_by_any_thread(parts, use):
+    server = PolicyServer(parts.runner, port=0)
+    ended = []
+    waiting = threading.Thread(
+        target=lambda: ended.append(use(server)), daemon=True
+    )  # it would wait for ever
+    waiting.start()
+    waiting.join(20)
+    assert ended == [None]
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.1", server.port))
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="a signal of Unix")
+def test_a_signal_closes_a_server_in_the_thread_that_runs_it(parts, tmp_path):
+    def serves():
+        server = PolicyServer(parts.runner, port=0)
+        signal.signal(signal.SIGTERM, lambda *_: server.close())
+        term = (threading.get_ident(), signal.SIGTERM)
+        threading.Timer(0.3, signal.pthread_kill, term).start()
+        server.run()
+
+    done = Forked(serves, tmp_path)
+    ended = done.ended(20)
+    done.process.kill()  # it would wait for ever
+    assert ended
+    assert done.returncode == 0, done.stderr
 
 
 def test_a_long_dtype_is_refused_before_it_is_parsed():

@@ -86,7 +86,7 @@ class Client:
             raise UserError(f"The policy server at {self._url} refuses: {about:.300}")
         with contextlib.suppress(ValueError, TypeError, KeyError):  # of another library
             joints = unpack(about)["joints"]
-            self._joints = joints["names"]
+            self._joints = list(map(str, joints["names"]))
             self._map = JointMap(joints)
         return link
 

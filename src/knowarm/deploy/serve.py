@@ -129,6 +129,10 @@ class PolicyServer:
             logger=_quiet,
         )
         self.port: int = self._server.socket.getsockname()[1]
+        self._accepting = threading.Thread(
+            target=self._server.serve_forever, daemon=True
+        )
+        self._starting = threading.RLock()  # a signal handler may close, too
 
     def run(self) -> None:
         """Serve until `close` or an exception such as Ctrl-C, which ends the connections.
@@ -137,7 +141,8 @@ class PolicyServer:
             UserError: the system ended the listening socket.
         """
         try:
-            self._server.serve_forever()
+            self._start()
+            self._accepting.join()
             if not self._is_closed:
                 raise UserError(
                     f"The system stopped listening on port {self.port}: start again."
@@ -146,18 +151,31 @@ class PolicyServer:
             self.close()
 
     def close(self) -> None:
-        """Stop listening, and end the connections."""
+        """Stop listening, and end the connections; one that was closed never serves again.
+
+        Any thread and signal handler may call it, before `run` as well, but no runner: it waits for
+        all of them.
+        """
+        if not self._accepting.ident:
+            self._server.socket.close()
         self._is_closed = True
+        self._start()  # `shutdown` waits for its end
         self._server.shutdown()
+
+    def _start(self) -> None:
+        """Start the thread that accepts connections, which ends at once on a closed socket."""
+        with self._starting:
+            if not self._accepting.ident:
+                self._accepting.start()
 
     def _request(self, connection: ServerConnection, request: Any) -> Any:
         """Answer ``/healthz``, and refuse pages of a browser and clients without the key."""
-        if request.path == "/healthz":
-            return connection.respond(200, "OK\n")
         if self._is_local:
             reason = refusal(request.path, request.headers)
             if reason:
                 return connection.respond(403, f"{reason}\n")
+        if request.path == "/healthz":
+            return connection.respond(200, "OK\n")
         sent = "".join(request.headers.get_all("Authorization"))
         expected = f"Api-Key {self._key}"
         if self._key is None or hmac.compare_digest(
