@@ -20,7 +20,9 @@ def headers(**values):
     return message
 
 
-@pytest.mark.parametrize("host", ["localhost:8080", "127.0.0.1:8080", "localhost:9000"])
+@pytest.mark.parametrize(
+    "host", ["localhost:8080", "127.0.0.1:8080", "LocalHost", "[::1]:90"]
+)
 def test_names_of_this_machine_are_answered(host):
     assert refusal("/", headers(Host=host)) is None
     assert (
@@ -48,7 +50,12 @@ def test_names_of_this_machine_are_answered(host):
         ("/", {"Host": "localhost:8080", "Sec-Fetch-Site": "same-site"}),
         ("/?q=mug", {"Host": "localhost:8080", "Accept": "image/avif,image/webp,*/*"}),
         ("/?q=mug", {"Host": "localhost:8080", "Accept": "image/png,image/*;q=0.8"}),
+        ("/?q=mug", {"Host": "localhost:8080", "Accept": "IMAGE/PNG"}),
         ("/", {"Host": "[::1"}),
+        ("/", {"Host": "evil.example@localhost:8080"}),
+        ("/", {"Host": "localhost/evil.example"}),
+        ("/", {"Host": "localhost#.evil.example"}),
+        ("/", {"Host": "localhost?.evil.example"}),
         ("//[", {"Host": "localhost:8080"}),
     ],
 )

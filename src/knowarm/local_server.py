@@ -1,5 +1,6 @@
 """HTTP servers that only this machine reaches: their port, and the requests that they refuse."""
 
+import re
 import socket
 from collections.abc import Sequence
 from http.server import BaseHTTPRequestHandler
@@ -10,6 +11,7 @@ from knowarm.errors import UserError
 
 ADDRESS = "127.0.0.1"  # The loopback interface, which other machines cannot reach
 LOOPBACK = (ADDRESS, "localhost", "::1")  # Its names
+_HOST = re.compile(r"(?:127\.0\.0\.1|localhost|\[::1\])(?::\d+)?", re.IGNORECASE)
 PORTS = range(8080, 8180)  # Ports that are tried if none is given
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; img-src data:; style-src 'unsafe-inline'; "
@@ -55,18 +57,17 @@ def refusal(path: str, headers: Any) -> str | None:
         for name in ("Host", "Origin", "Sec-Fetch-Site", "Accept")
     )
     try:
-        names = [urlsplit(f"//{host}").hostname for host in hosts]
         urlsplit(path)
-    except ValueError:  # no address, such as [::1
+    except ValueError:  # no address, such as //[
         return "The request is no valid one."
-    if len(names) != 1 or names[0] not in LOOPBACK:
+    if len(hosts) != 1 or not _HOST.fullmatch(hosts[0]):
         return f"This server answers only as {' or '.join(LOOPBACK)}."
     if origins not in ([], [f"http://{hosts[0]}"]) or set(sites) - {
         "same-origin",
         "none",
     }:
         return "The request comes from a page of another site."
-    wanted = ",".join(accepted)
+    wanted = ",".join(accepted).lower()
     if "image/" in wanted and "text/html" not in wanted:
         # Old browsers send no Sec-Fetch-Site.
         return "The request is one for an image, and this server has none."
