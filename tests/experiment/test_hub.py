@@ -186,6 +186,10 @@ def test_a_link_is_not_uploaded(tmp_path):
     (run / "graphs" / "0a1b2c3d" / "id_rsa").symlink_to("/etc/passwd")
     with pytest.raises(UserError, match=r"id_rsa is a link to /etc/passwd"):
         push_to_hub(run, "someone/reach")
+    network = tmp_path / "network.safetensors"
+    network.symlink_to("/etc/passwd")
+    with pytest.raises(UserError, match=r"network\.safetensors is a link to /etc/pass"):
+        push_to_hub(network, "someone/network")
 
 
 @pytest.mark.parametrize(

@@ -38,9 +38,11 @@ def push_to_hub(path: Path | str, repo_id: str, *, private: bool = False) -> str
         private: whether a new repository is visible to its owner only.
 
     Raises:
-        UserError: no such run or file, no access, or no connection.
+        UserError: no such run or file, a link, no access, or no connection.
     """
     path = Path(path)
+    if path.is_symlink() and not path.is_dir():
+        raise UserError(f"{path} is a link to {path.resolve()}. Give the file itself.")
     if path.is_file() and path.suffix in FILES:
         text = f"`{path.name}` for KnowArm."
         files = [path]
