@@ -19,6 +19,7 @@ from knowarm.experiment.run_folder import RunFolder
 from knowarm.experiment.run_lock import lock_folder
 from knowarm.report import write_report
 from tests.deploy.test_driver import IMAGE, NAMES, Robot
+from tests.robustness.formats import outcome
 from tests.robustness.mutator import mutate, mutate_json
 from tests.robustness.test_permuted_doors import DOORS, ROWS, Doors
 from tests.source_tree import ROOT
@@ -43,9 +44,9 @@ def links(tries: int, seed: int) -> Result:
             "open": lambda: RunFolder.open(run),
             "load": lambda: load_agent(run),
             "lock": lock,
+            "evaluate": lambda: evaluate(run, episodes=2, probes=()),
+            "report": lambda: write_report([run], run.parents[1] / "report.html"),
         }
-        uses["evaluate"] = lambda: evaluate(run, episodes=2, probes=())
-        uses["report"] = lambda: write_report([run], run.parents[1] / "report.html")
         source = ROOT / "zoo" / "irb120-full-fast"
         names = [path.relative_to(source).as_posix() for path in source.rglob("*")]
         names += [
@@ -54,16 +55,12 @@ def links(tries: int, seed: int) -> Result:
             "metrics.csv",
             "graphs/aa/x.csv",
             "../../report.html",
-        ]
-        names += [
             "evaluation",
             "evaluation/post-training-greedy",
             "../../report-data",
             "new.json",
-        ]
-        names += [
-            f"evaluation/post-training-greedy/{x}"
-            for x in ("summary.json", "steps.parquet")
+            "evaluation/post-training-greedy/summary.json",
+            "evaluation/post-training-greedy/steps.parquet",
         ]
         for number in range(tries):
             shutil.rmtree(run.parents[1], ignore_errors=True)
@@ -75,12 +72,9 @@ def links(tries: int, seed: int) -> Result:
             place.symlink_to(to)
             use = list(uses)[random.integers(len(uses))]
             what = f"{number}: {use}, {place.relative_to(run.parents[1])} -> {to.name}"
-            try:
-                uses[use]()
-            except UserError as error:
-                failures += [f"{what}: several lines"] * ("\n" in str(error))
-            except Exception as error:
-                failures.append(f"{what}: {type(error).__name__}: {error}")
+            failed = outcome(uses[use])
+            if failed is not None:
+                failures.append(f"{what}: {failed}")
             if (mine / "bashrc").read_text() != "mine" or len([*mine.iterdir()]) > 1:
                 return number + 1, [*failures, f"{what}: a file of the user changed"]
     return tries, failures

@@ -5,18 +5,19 @@ import tempfile
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
 
-from knowarm.errors import UserError
 from knowarm.experiment.csv_log import CsvLog
 from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.run import train
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.learn.checkpoint import Checkpoint, CheckpointStore, read_checkpoint
 from knowarm.report import write_report
+from tests.robustness.formats import outcome
 from tests.tiny import short
 
 
@@ -100,18 +101,10 @@ def inject_file_errors(tries: int, seed: int) -> tuple[int, list[str]]:
                 random.choice(len(actions), p=weights / weights.sum())
             ]
             error = ERRORS[int(random.integers(len(ERRORS)))]
-            try:
-                with _faults.inject(folder, int(random.integers(1, most)), error):
-                    action(number)
-            except UserError as caught:
-                if "\n" in str(caught):
-                    failures.append(
-                        f"{action.__name__} {number}: several lines: {caught}"
-                    )
-            except Exception as caught:
-                failures.append(
-                    f"{action.__name__} {number}: {type(caught).__name__}: {caught}"
-                )
+            with _faults.inject(folder, int(random.integers(1, most)), error):
+                failed = outcome(partial(action, number))
+            if failed is not None:
+                failures.append(f"{action.__name__} {number}: {failed}")
             try:
                 store.load()
                 RunFolder.open(run.path).experiment()

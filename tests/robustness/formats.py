@@ -12,7 +12,6 @@ import zipfile
 import zlib
 from collections.abc import Callable
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -42,7 +41,7 @@ from knowarm.learn.checkpoint import read_checkpoint
 from knowarm.perception.grounding import GroundingNetwork
 from knowarm.report import write_report
 from knowarm.report.collect import collect
-from tests.robustness.further_formats import further_readers
+from tests.robustness.further_formats import Reader, further_readers
 from tests.robustness.mutator import mutate
 from tests.robustness.packs import pack_readers
 from tests.tiny import CHOOSE, CHOOSE_NAME, short
@@ -51,63 +50,41 @@ STALL_S = 60
 """Time after which reading one file counts as a failure; only where the system has timers [s]."""
 
 
-@dataclass(frozen=True)
-class Format:
-    """Files of one input format, one of which is mutated, and how they are read.
-
-    Attributes:
-        name: of the format.
-        path: the file that is mutated.
-        read: reads it, or the folder that it belongs to.
-    """
-
-    name: str
-    path: Path
-    read: Callable[[Path], object]
-
-
-@dataclass(frozen=True)
-class Failure:
-    """A mutated file that ended otherwise than in a result or an error for users."""
-
-    format: str
-    seed: int
-    what: str
-
-
 class Stall(BaseException):
     """Reading took more processor time than `STALL_S`."""
 
 
-def try_mutations(each: Format, seeds: range) -> list[Failure]:
+def try_mutations(reader: Reader, seeds: range) -> list[str]:
     """Read mutations of a format's file; return those that end in a traceback or a stall.
 
     One fenced process reads all that fits its limits, so that not every file costs a fork. What
     crosses a limit, or fails there, is read again in this process, which decides.
     """
-    original = each.path.read_bytes()
+    name, path, _ = reader
+    original = path.read_bytes()
     failures = []
-    trial = Fence(partial(try_mutation, each, original))
+    trial = Fence(partial(try_mutation, reader, original))
     try:
         for seed in seeds:
             what: str | None = "it crosses a limit"
             with suppress(ValueError):
                 what = trial(seed)
             if what is not None:
-                what = try_mutation(each, original, seed)
+                what = try_mutation(reader, original, seed)
             if what is not None:
-                failures.append(Failure(each.name, seed, what))
+                failures.append(f"{name}, seed {seed}: {what}")
     finally:
         trial.close()
-        each.path.write_bytes(original)
+        path.write_bytes(original)
     return failures
 
 
-def try_mutation(each: Format, original: bytes, seed: int) -> str | None:
+def try_mutation(reader: Reader, original: bytes, seed: int) -> str | None:
     """Read a mutation of a format's file; return what failed, or None."""
-    random = np.random.default_rng((seed, zlib.crc32(each.name.encode())))
-    each.path.write_bytes(mutate(original, random, is_json=each.path.suffix == ".json"))
-    return outcome(lambda: each.read(each.path))
+    name, path, read = reader
+    random = np.random.default_rng((seed, zlib.crc32(name.encode())))
+    path.write_bytes(mutate(original, random, is_json=path.suffix == ".json"))
+    return outcome(partial(read, path))
 
 
 def outcome(read: Callable[[], object]) -> str | None:
@@ -148,27 +125,27 @@ def _timer():
         signal.signal(signal.SIGPROF, before)
 
 
-def make_formats(folder: Path) -> list[Format]:
+def make_formats(folder: Path) -> list[Reader]:
     """Write whole files of all formats into a folder."""
     return [
         *_graphs(folder / "graphs ä"),
         *_vectors(folder / "vectors"),
         *_run(folder / "runs"),
         *_perception(folder / "perception"),
-        *(Format(*each) for each in pack_readers(folder / "packs")),
-        *(Format(*each) for each in further_readers(folder / "further")),
+        *pack_readers(folder / "packs"),
+        *further_readers(folder / "further"),
         *_texts(folder),
     ]
 
 
-def _graphs(folder: Path) -> list[Format]:
+def _graphs(folder: Path) -> list[Reader]:
     graph = household()
-    formats = []
+    readers: list[Reader] = []
     folder.mkdir(parents=True)
     for suffix in ("ttl", "nt", "rdf", "jsonld", "csv", "tsv"):
         path = folder / f"home.{suffix}"
         write_graph(graph, path)
-        formats.append(Format(f"graph .{suffix}", path, read_graph))
+        readers.append((f"graph .{suffix}", path, read_graph))
     links = [{"source": h, "type": r, "target": t} for h, r, t in graph]
     network = networkx.MultiDiGraph()
     network.add_edges_from((h, t, {"label": r}) for h, r, t in graph)
@@ -183,7 +160,7 @@ def _graphs(folder: Path) -> list[Format]:
         "train.txt": (folder / "home.tsv").read_text("utf-8"),
     }.items():
         (folder / name).write_text(text, "utf-8")
-        formats.append(Format(f"graph {name}", folder / name, read_graph))
+        readers.append((f"graph {name}", folder / name, read_graph))
     small = (folder / "home.nt").read_bytes()[:20_000].rsplit(b"\n", 1)[0] + b"\n"
     for suffix, compress in (
         ("gz", gzip.compress),
@@ -192,15 +169,15 @@ def _graphs(folder: Path) -> list[Format]:
     ):
         path = folder / f"small.nt.{suffix}"
         path.write_bytes(compress(small))
-        formats.append(Format(f"graph .nt.{suffix}", path, read_graph))
+        readers.append((f"graph .nt.{suffix}", path, read_graph))
     path = folder / "small.nt.zip"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("small.nt", small)
-    formats.append(Format("graph .nt.zip", path, read_graph))
+    readers.append(("graph .nt.zip", path, read_graph))
     openke = folder / "openke"
     write_openke(split_graph(graph), openke)
-    formats += [
-        Format(
+    readers += [
+        (
             f"OpenKE {name}",
             openke / f"{name}2id.txt",
             lambda path: read_graph(path.parent),
@@ -212,10 +189,10 @@ def _graphs(folder: Path) -> list[Format]:
         '/a/x{0}\t/r/IsA\t/c/en/mug{0}\t/c/en/cup/n\t{{"weight": 2.0, "sources": []}}\n'
     )
     path.write_text("".join(line.format(i) for i in range(40)))
-    return [*formats, Format("ConceptNet", path, read_graph)]
+    return [*readers, ("ConceptNet", path, read_graph)]
 
 
-def _vectors(folder: Path) -> list[Format]:
+def _vectors(folder: Path) -> list[Reader]:
     folder.mkdir()
     random = np.random.default_rng(0)
     text = "".join(
@@ -238,14 +215,14 @@ def _vectors(folder: Path) -> list[Format]:
     save_model(trained.model, config, graph, embedding)
     return [
         *(
-            Format(f"word vectors {p.suffix}", p, read_word_vectors)
+            (f"word vectors {p.suffix}", p, read_word_vectors)
             for p in (plain, packed, zipped)
         ),
-        Format("graph embedding", embedding, lambda path: stored_lookup(path, graph)),
+        ("graph embedding", embedding, lambda path: stored_lookup(path, graph)),
     ]
 
 
-def _run(folder: Path) -> list[Format]:
+def _run(folder: Path) -> list[Reader]:
     config = short(total_steps=40, checkpoint_every_steps=20)
     run = train(config, folder, policy={"features": 8}).folder
     values = {
@@ -271,39 +248,37 @@ def _run(folder: Path) -> list[Format]:
 
     latest = run.checkpoints / "latest"
     return [
-        Format(
+        (
             "config.json",
             run.config_path,
             lambda path: RunFolder.open(run.path).experiment(),
         ),
-        Format("config.json in a report", run.config_path, reported),
-        Format("provenance.json", run.path / "provenance.json", loaded),
-        Format("provenance.json in a report", run.path / "provenance.json", reported),
-        Format("knowledge.safetensors", run.path / "knowledge.safetensors", loaded),
-        Format("metrics.csv", run.metrics_path, logs),
-        Format("evaluations.csv", run.evaluations_path, logs),
-        Format("checkpoint meta.json", latest / "meta.json", checkpoint),
+        ("config.json in a report", run.config_path, reported),
+        ("provenance.json", run.path / "provenance.json", loaded),
+        ("provenance.json in a report", run.path / "provenance.json", reported),
+        ("knowledge.safetensors", run.path / "knowledge.safetensors", loaded),
+        ("metrics.csv", run.metrics_path, logs),
+        ("evaluations.csv", run.evaluations_path, logs),
+        ("checkpoint meta.json", latest / "meta.json", checkpoint),
         *(
-            Format(f"checkpoint {p}", latest / f"{p}.safetensors", loaded)
+            (f"checkpoint {p}", latest / f"{p}.safetensors", loaded)
             for p in ("policy", "state")
         ),
-        Format("summary.json in a report", evaluated / "summary.json", reported),
-        Format(
-            "episodes.parquet in a report", evaluated / "episodes.parquet", reported
-        ),
-        Format("evaluations.csv in a report", run.evaluations_path, reported),
-        Format("episodes.parquet", evaluated / "episodes.parquet", read_table),
-        Format("steps.parquet", evaluated / "steps.parquet", read_table),
-        Format("film", evaluated / "films" / "0.webp", read_film),
+        ("summary.json in a report", evaluated / "summary.json", reported),
+        ("episodes.parquet in a report", evaluated / "episodes.parquet", reported),
+        ("evaluations.csv in a report", run.evaluations_path, reported),
+        ("episodes.parquet", evaluated / "episodes.parquet", read_table),
+        ("steps.parquet", evaluated / "steps.parquet", read_table),
+        ("film", evaluated / "films" / "0.webp", read_film),
     ]
 
 
-def _perception(folder: Path) -> list[Format]:
+def _perception(folder: Path) -> list[Reader]:
     run = train(CHOOSE_NAME, folder, **CHOOSE).folder
     path = Path(shutil.copy(run.path / PERCEPTION_FILE, folder / "network.safetensors"))
     return [
-        Format("grounding network", path, GroundingNetwork.read),
-        Format(
+        ("grounding network", path, GroundingNetwork.read),
+        (
             "perception.safetensors of a run",
             run.path / PERCEPTION_FILE,
             lambda _: load_agent(run.path),
@@ -311,7 +286,7 @@ def _perception(folder: Path) -> list[Format]:
     ]
 
 
-def _texts(folder: Path) -> list[Format]:
+def _texts(folder: Path) -> list[Reader]:
     graph = household()
     query = folder / "query.rq"
     query.write_text(
@@ -326,12 +301,12 @@ def _texts(folder: Path) -> list[Format]:
     )
     name = "irb120-full-ppo"
     return [
-        Format(
+        (
             "SPARQL",
             query,
             lambda p: sparql(graph, p.read_bytes().decode(errors="replace")),
         ),
-        Format(
+        (
             "command line",
             options,
             lambda p: Train.parse(
