@@ -37,41 +37,94 @@ MOST_INT = 1e5
 """Largest size of integers without an entry in `RANGES`."""
 MOST_FLOAT = 1e6
 """Largest size of such floating-point numbers."""
-_RANGES = """
-1 1e12 total_steps every_steps
-1 1e9 images
-1 1e8 episodes
-0 1e8 blind_episodes
-1 1e6 steps hidden
-0 1e6 confirm_steps coef n3 threshold_decrease
-1 1e5 num_envs envs_per_worker processes workers joints levels slots features dim batch batch_size
-1 1e5 minibatches epochs evaluations negatives evaluate_every patience threads objects cores
-1 1e5 objects_per_episode training_seeds trial at_once
-0 1e5 start_joints knowledge_dim hops degree rounds retries scene scenes
-1 1e3 factor
-0 1e3 half_size_m
-0 360 light_angle_deg
-0 1 share until gamma lambda learning_rate_final gpus start_fraction
-1e-12 1e6 s gib grad_norm eps following_steps
-1e-12 1e4 hz gain reward_scale pixel_scale
-1e-12 1e3 gripper_step_m
-1e-12 360 angle_deg
-1e-12 179 fovy_deg
-1e-12 100 mpi_rad
-1e-12 10 learning_rate clip_range
-1e-12 2 distance_m
-1e-12 1 success
--1e6 1e6 norm
--1e4 1e4 scale
--1e3 1e3 m kg
--360 360 deg
--100 100 rad
-"""
-"""Ranges of numbers by the last words of their field: what it counts, or its unit."""
-RANGES: dict[str, tuple[float, float]] = {}
-for _line in _RANGES.strip().splitlines():
-    _least, _most, *_words = _line.split()
-    RANGES |= dict.fromkeys(_words, (float(_least), float(_most)))
+_COUNT = (1, 1e5)
+_COUNT_OR_NONE = (0, 1e5)
+_SHARE = (0, 1)
+RANGES: dict[str, tuple[float, float]] = {
+    # Counts of steps, images and episodes
+    "steps": (1, 1e6),
+    "total_steps": (1, 1e12),
+    "every_steps": (1, 1e12),
+    "confirm_steps": (0, 1e6),
+    "following_steps": (LEAST, 1e6),
+    "images": (1, 1e9),
+    "episodes": (1, 1e8),
+    "blind_episodes": (0, 1e8),
+    # Other counts
+    "hidden": (1, 1e6),
+    "n3": (0, 1e6),
+    "factor": (1, 1e3),
+    "at_once": _COUNT,
+    "batch": _COUNT,
+    "batch_size": _COUNT,
+    "cores": _COUNT,
+    "dim": _COUNT,
+    "envs_per_worker": _COUNT,
+    "epochs": _COUNT,
+    "evaluate_every": _COUNT,
+    "evaluations": _COUNT,
+    "features": _COUNT,
+    "joints": _COUNT,
+    "levels": _COUNT,
+    "minibatches": _COUNT,
+    "negatives": _COUNT,
+    "num_envs": _COUNT,
+    "objects": _COUNT,
+    "objects_per_episode": _COUNT,
+    "patience": _COUNT,
+    "processes": _COUNT,
+    "slots": _COUNT,
+    "threads": _COUNT,
+    "training_seeds": _COUNT,
+    "trial": _COUNT,
+    "workers": _COUNT,
+    "degree": _COUNT_OR_NONE,
+    "hops": _COUNT_OR_NONE,
+    "knowledge_dim": _COUNT_OR_NONE,
+    "retries": _COUNT_OR_NONE,
+    "rounds": _COUNT_OR_NONE,
+    "scene": _COUNT_OR_NONE,
+    "scenes": _COUNT_OR_NONE,
+    "start_joints": _COUNT_OR_NONE,
+    # Shares of one
+    "gamma": _SHARE,
+    "gpus": _SHARE,
+    "lambda": _SHARE,
+    "learning_rate_final": _SHARE,
+    "share": _SHARE,
+    "start_fraction": _SHARE,
+    "until": _SHARE,
+    "success": (LEAST, 1),
+    # Numbers of learning
+    "clip_range": (LEAST, 10),
+    "coef": (0, 1e6),
+    "eps": (LEAST, 1e6),
+    "gain": (LEAST, 1e4),
+    "grad_norm": (LEAST, 1e6),
+    "learning_rate": (LEAST, 10),
+    "norm": (-1e6, 1e6),
+    "pixel_scale": (LEAST, 1e4),
+    "reward_scale": (LEAST, 1e4),
+    "scale": (-1e4, 1e4),
+    "threshold_decrease": (0, 1e6),
+    # Quantities by their unit
+    "deg": (-360, 360),
+    "angle_deg": (LEAST, 360),
+    "fovy_deg": (LEAST, 179),
+    "light_angle_deg": (0, 360),
+    "rad": (-100, 100),
+    "mpi_rad": (LEAST, 100),
+    "m": (-1e3, 1e3),
+    "distance_m": (LEAST, 2),
+    "gripper_step_m": (LEAST, 1e3),
+    "half_size_m": (0, 1e3),
+    "kg": (-1e3, 1e3),
+    "s": (LEAST, 1e6),
+    "hz": (LEAST, 1e4),
+    "gib": (LEAST, 1e6),
+}
+"""Least and largest number of a field, by the last words of its name: what it counts, or its unit.
+The entry with the most words applies."""
 
 _FILE_NAME = re.compile(r"\w[\w.+-]*", re.ASCII)
 LARGEST_SHOWN = 1e300
