@@ -7,6 +7,7 @@ import pytest
 
 from knowarm.asking.asker import Asker
 from knowarm.asking.destinations import read_destination
+from knowarm.asking.lexicon import DESTINATIONS, HOME, match_putting, what_is_put
 from knowarm.errors import UserError
 from knowarm.experiment.load import load_agent
 
@@ -45,6 +46,7 @@ def test_sentences_with_a_destination(text, what, where):
         "put the mug where it belongs",
         "put the mug on its tray",
         "put the mug away",
+        "put the mug in its place, please",
         "bring something for the kitchen",
         "take the mug in the kitchen",
         "something to drink from that is not blue",
@@ -54,6 +56,22 @@ def test_sentences_with_a_destination(text, what, where):
 )
 def test_sentences_without_one(text):
     assert read_destination(text) is None
+
+
+@pytest.mark.parametrize("forms", [DESTINATIONS, HOME], ids=["destinations", "home"])
+def test_each_pattern_reads_its_example_and_no_earlier_one_does(forms):
+    for form in forms:
+        readers = [
+            other for other in forms if match_putting(other["pattern"], form["example"])
+        ]
+        assert readers[0] == form
+
+
+def test_please_stands_on_either_side():
+    assert (
+        what_is_put("Could you please put the mug where it belongs, please?")
+        == "the mug"
+    )
 
 
 @pytest.fixture(scope="module")

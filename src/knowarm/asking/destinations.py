@@ -3,7 +3,7 @@
 import re
 from typing import NamedTuple
 
-from knowarm.asking.lexicon import PUTTING, what_is_put
+from knowarm.asking.lexicon import DESTINATIONS, match_putting, what_is_put
 
 _BEHIND_WHAT = re.compile(r" (?:back|away|over|down|up)$", re.IGNORECASE)
 
@@ -24,9 +24,9 @@ def read_destination(text: str) -> Destination | None:
     text = text.strip()
     if what_is_put(text) != text:  # where it belongs
         return None
-    for form in (*PUTTING["sure"], *PUTTING["may_ask"]):
-        said = re.fullmatch(form.format(**PUTTING["parts"]), text, re.IGNORECASE)
-        if said is not None:
-            what = _BEHIND_WHAT.sub("", said["what"])
-            return Destination(what, said["where"], form in PUTTING["sure"])
+    for form in DESTINATIONS:
+        match = match_putting(form["pattern"], text)
+        if match is not None:
+            what = _BEHIND_WHAT.sub("", match["what"])
+            return Destination(what, match["where"], form["is_sure"])
     return None

@@ -10,6 +10,7 @@ from functools import cache
 from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 from knowarm.errors import UserError
 from knowarm.knowledge.graph.homonyms import PLACES
@@ -39,8 +40,15 @@ BESIDE: dict[str, str] = _ENGLISH["beside"]
 """Conditions of the place beside another object, by word."""
 UNANSWERED = re.compile("|".join(_ENGLISH["unanswered"]["asks"]))
 """Questions that ask for no object."""
-PUTTING = _ENGLISH["putting"]
-"""Patterns of sentences about what is put somewhere, and their parts; the file says which."""
+DESTINATIONS: list[dict[str, Any]] = _ENGLISH["putting"]["destinations"]
+"""Patterns of sentences that say what has to be put where, with an example of each."""
+HOME: list[dict[str, Any]] = _ENGLISH["putting"]["home"]
+"""The same of sentences that say that it has to be put where it belongs."""
+_PARTS = {
+    part: f"(?:{'|'.join(alternatives)})"
+    for part, alternatives in _ENGLISH["putting"]["parts"].items()
+}
+"""What patterns of both are made of: a regular expression by its name in them."""
 _ADJECTIVE = re.compile(
     r"(?:able|ible|ous|ful|less|ive|ic|al|ish|(?<![tgcrl])y|ed|ing|proof)$"
 )
@@ -87,11 +95,17 @@ def sentences(text: str) -> list[str]:
 
 def what_is_put(sentence: str) -> str:
     """Return "the mug" of "put the mug where it belongs"; other sentences as they are."""
-    home = PUTTING["home"].format(**PUTTING["parts"])
-    putting = re.match(home, sentence, re.IGNORECASE)
-    if putting is None:
-        return sentence
-    return putting["early"] or putting["late"]
+    for form in HOME:
+        match = match_putting(form["pattern"], sentence)
+        if match is not None:
+            return match["what"]
+    return sentence
+
+
+def match_putting(pattern: str, sentence: str) -> re.Match[str] | None:
+    """Match a sentence with a pattern of `DESTINATIONS` or `HOME`, with or without "please"."""
+    polite = f"{{request}}*{pattern}(?:,? please)?\\W*"
+    return re.fullmatch(polite.format(**_PARTS), sentence, re.IGNORECASE)
 
 
 def synonyms_of(word: str) -> set[str]:
