@@ -1,6 +1,6 @@
 # Public names of the package: what type checkers see, and what __init__.py imports on first use.
-from .asking.asker import Asked as Asked
 from .asking.asker import ask as ask
+from .asking.outcome import Asked as Asked
 from .errors import UserError as UserError
 from .experiment.agents import AGENTS as AGENTS
 from .experiment.agents import Agent as Agent

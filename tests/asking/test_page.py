@@ -6,7 +6,8 @@ from types import SimpleNamespace
 import pytest
 
 from knowarm.asking.answers import answer
-from knowarm.asking.asker import Asked, Asker
+from knowarm.asking.asker import Asker
+from knowarm.asking.outcome import Asked
 from knowarm.asking.page import BASES, page, reasons
 from knowarm.experiment.load import load_agent
 from knowarm.knowledge import graph_of

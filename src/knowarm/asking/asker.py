@@ -1,14 +1,13 @@
 """Questions to a trained agent: the graph answers, the network finds the answer, the arm moves."""
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import closing, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
-from itertools import compress, groupby
+from itertools import compress
 from pathlib import Path
 from threading import Lock
-from typing import NamedTuple, get_args
+from typing import get_args
 
 import numpy as np
 import torch
@@ -16,7 +15,8 @@ from scipy.spatial.distance import pdist
 
 from knowarm.asking.answers import Answers, Words, answer, reading, words
 from knowarm.asking.destinations import read_destination
-from knowarm.asking.judgements import Judgement, Place
+from knowarm.asking.judgements import Place
+from knowarm.asking.outcome import Asked
 from knowarm.asking.quotes import condition
 from knowarm.errors import UserError, unknown_name
 from knowarm.experiment.knows import read_known_graph
@@ -34,7 +34,7 @@ from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.reward import is_success
 from knowarm.world.tasks.sampling import Episodes
-from knowarm.world.viewing.record import Frame, record_episode
+from knowarm.world.viewing.record import record_episode
 
 EXAMPLES = 6
 """Most questions given as examples."""
@@ -50,137 +50,6 @@ SCENES_WITH_TRAY = 200
 """Those that are looked at for one with a tray that a question names."""
 SCENES_WITH_PLACES = 400
 """Those of them that are tried for a question on where things stand."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Asked:
-    """A question, its answers, where the network sees them, and what the arm did."""
-
-    answers: Answers
-    """The answers in the graph; where places decide, among what the network names."""
-    truth: Answers
-    """The same among what stands in the scene; they differ if the network is mistaken."""
-    scene: int
-    """Number of the scene among the evaluation episodes."""
-    shown: tuple[ObjectColour, ...]
-    """What stands in the scene; the object that answers comes first, if one does."""
-    named: tuple[ObjectColour, ...]
-    """What the network names, surest first."""
-    points: np.ndarray
-    """Where it does, column and row in units of the image, (m, 2)."""
-    heat: np.ndarray
-    """Share of every place in the choice, (h, w), sum 1."""
-    candidates: tuple[ObjectColour, ...]
-    """Which of the named objects may answer, at the level of confidence."""
-    stopped: bool
-    """Whether the arm stayed because it saw no answer, or several."""
-    reached: ObjectColour
-    """What the gripper was nearest to at the end."""
-    distance: float
-    """Distance of the gripper from the grasp of that object [m]."""
-    angle: float
-    """Angle from it [deg]."""
-    within: bool
-    """Whether both are within the task's thresholds; where there is a ``result``, whether the task
-    is solved."""
-    film: tuple[Frame, ...]
-    """The episode."""
-    result: str = ""
-    """What became of the object, where reaching it is not all."""
-    lacks_place: bool = False
-    """Whether the arm stayed because the graph does not say where the object belongs."""
-    told: str = ""
-    """What the agent was told besides the question, such as which tray is which place."""
-    where: str = ""
-    """Where the question says that the object has to be put; by default where it belongs."""
-
-    @property
-    def as_read(self) -> str:
-        """The question as it was read, and where the object has to be put if that is named."""
-        read = self.answers.as_read
-        if self.where:
-            return f"{read}, to the tray: {self.where}"
-        return read
-
-    @property
-    def right(self) -> bool:
-        """Whether the arm ended nearest to an object that answers."""
-        return self.reached in self.truth.evidence
-
-    @property
-    def outcome(self) -> str:
-        """What the arm did, in a sentence."""
-        seen = ", ".join(f"the {in_words(facet)}" for facet in self.candidates)
-        if self.stopped:
-            several = f"several answers: {seen}" if seen else "no answer"
-            return f"The arm stayed: it sees {several}."
-        if self.lacks_place:
-            return (
-                "The arm stayed: the graph says of none of these places that the object belongs "
-                f"there: {self.told}."
-            )
-        judgement = "which answers" if self.right else "which does not answer"
-        if self.result:
-            went = f"The arm went for the {in_words(self.reached)}, {judgement}"
-            sentences = [
-                f"{went}.",
-                self.result,
-                f"It took {self.film[-1].step} steps.",
-            ]
-            if self.told:
-                sentences.insert(0, f"It was told: {self.told}.")
-            return " ".join(sentences)
-        what = "reached" if self.within else "did not arrive; it ended nearest to"
-        outcome = (
-            f"The arm {what} the {in_words(self.reached)}, {judgement}, after "
-            f"{self.film[-1].step} steps: {100 * self.distance:.1f} cm and {self.angle:.0f} "
-            "degrees from its grasp."
-        )
-        if len(self.candidates) > 1:
-            outcome += f" It saw several answers: {seen}."
-        return outcome
-
-    @property
-    def rows(self) -> "list[AnswerRow]":
-        """Answers by object, which has several rows if it answers in other colours otherwise."""
-        judgements = self.answers.judgements
-        known = Counter(name for name, _ in self.answers.facets)
-
-        def reasons(facet: ObjectColour) -> tuple[str, ...]:
-            seen = f"the image shows {facet[1]}"
-            return (facet[0], *filter(seen.__ne__, judgements[facet].evidence))
-
-        rows = []
-        for (name, *_), group in groupby(judgements, key=reasons):
-            facets = list(group)
-            colours = "any"
-            if len(facets) < known[name]:
-                colours = ", ".join(colour for _, colour in facets)
-            rows.append(AnswerRow(name, colours, judgements[facets[0]]))
-        return rows
-
-    @property
-    def table(self) -> list[list[str]]:
-        """Answers: objects, the colours in which they answer, why the first one does."""
-        alike: dict[tuple[str, str], list[str]] = {}
-        for name, colours, judgement in self.rows:
-            why = colours, "; ".join(judgement.evidence)
-            alike.setdefault(why, []).append(name)
-        return [[", ".join(names), *why] for why, names in alike.items()]
-
-
-class AnswerRow(NamedTuple):
-    """An object that answers, the colours in which it does, and the judgement on the first."""
-
-    name: str
-    colours: str
-    judgement: Judgement
-
-
-def in_words(facet: ObjectColour) -> str:
-    """Return an object with its colour, such as "red mug"."""
-    name, colour = facet
-    return f"{colour} {name}"
 
 
 class Asker:

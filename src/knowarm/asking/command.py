@@ -10,7 +10,8 @@ from typing import Annotated, Any
 import tyro
 
 from knowarm.asking.answers import answer
-from knowarm.asking.asker import Asked, Asker, in_words
+from knowarm.asking.asker import Asker
+from knowarm.asking.outcome import Asked, in_words
 from knowarm.asking.page import make_server, serve_page, write_page
 from knowarm.cli.arguments import read_names
 from knowarm.cli.knowledge.options import ObjectOptions

@@ -13,8 +13,9 @@ from urllib.parse import parse_qsl, urlsplit
 
 import numpy as np
 
-from knowarm.asking.asker import SCENES, Asked, Asker, in_words
+from knowarm.asking.asker import SCENES, Asker
 from knowarm.asking.judgements import Judgement
+from knowarm.asking.outcome import Asked, in_words
 from knowarm.asking.quotes import condition
 from knowarm.asking.tidying.story import Story, read_later, tell
 from knowarm.errors import UserError

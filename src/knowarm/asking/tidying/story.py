@@ -1,4 +1,4 @@
-"""The story of a scene that is tidied: what was told, the plan, films, and how it ends."""
+"""The story of a scene that is tidied: what was given, the plan, films, and how it ends."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knowarm.asking.asker import in_words
+from knowarm.asking.outcome import in_words
 from knowarm.asking.tidying.tidier import Tidying, join_scenes, scenes_to_tidy
 from knowarm.errors import UserError
 from knowarm.experiment.load import TrainedAgent
@@ -102,7 +102,7 @@ def tell(
         scene: number of the scene, among those to tidy.
         seed: seed of the scenes.
         later: changes of the graph, by the number of objects after which they follow.
-        story: where it is told.
+        story: where it is written.
 
     Raises:
         UserError: the agent does not sort, there is no such scene, or a change does not fit.
@@ -128,7 +128,7 @@ def tell(
                 story.add(f"The graph changes: {'; '.join(changes[brought])}.")
                 story.add_plan(tidying)
 
-        story.add(f"It was told: {tidying.instruction(0)}.", [view()])
+        story.add(f"Given: {tidying.instruction(0)}.", [view()])
         story.add_plan(tidying)
         brought = 0
         change(brought)

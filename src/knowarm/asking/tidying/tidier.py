@@ -123,7 +123,7 @@ class Tidying:
             self._tray[is_next, which] = tray[is_next]
 
     def instruction(self, scene: int) -> str:
-        """Return what is told of a scene, as "the red tray is the kitchen"."""
+        """Return what is given about a scene, as "the red tray is the kitchen"."""
         return self._chores.instruct(scene)
 
     def close(self) -> None:
