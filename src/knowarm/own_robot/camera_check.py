@@ -89,12 +89,12 @@ def rectify(image: Image.Image, robot: Robot, side: int) -> Image.Image:
     x, y, centre_x, centre_y = np.array(robot.camera_intrinsics) * image.height
     # OpenCV counts from the middle of the first pixel.
     matrix = np.array([[x, 0, centre_x - 0.5], [0, y, centre_y - 0.5], [0, 0, 1]])
-    length = side / 2 / np.tan(np.radians(robot.camera_fovy_deg) / 2)
+    focal_length = side / 2 / np.tan(np.radians(robot.camera_fovy_deg) / 2)
     middle = (side - 1) / 2
-    wanted = np.array([[length, 0, middle], [0, length, middle], [0, 0, 1]])
-    lens = np.array([*robot.camera_distortion] or [0.0] * 5)
+    wanted = np.array([[focal_length, 0, middle], [0, focal_length, middle], [0, 0, 1]])
+    distortion = np.array([*robot.camera_distortion] or [0.0] * 5)
     maps = cv2.initUndistortRectifyMap(
-        matrix, lens, None, wanted, (side, side), cv2.CV_32FC1
+        matrix, distortion, None, wanted, (side, side), cv2.CV_32FC1
     )
     return Image.fromarray(cv2.remap(np.asarray(image), *maps, cv2.INTER_LINEAR))
 
@@ -128,6 +128,7 @@ def _read_points(path: Path, known: dict[str, Floats]) -> tuple[Floats, Floats]:
             raise ValueError(
                 f"{len(rows)} points; give at least {LEAST_POINTS} finite ones"
             )
+        # Singular values: the spread along the line on which most lie, and beside it
         spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
         if spread[1] < LEAST_SPREAD_M:
             raise ValueError(
@@ -137,16 +138,24 @@ def _read_points(path: Path, known: dict[str, Floats]) -> tuple[Floats, Floats]:
 
 
 def _compare(
-    scene: Scene, config: EnvConfig, aspect: float, seen: Floats, places: Floats
+    scene: Scene, config: EnvConfig, aspect: float, clicks: Floats, places: Floats
 ) -> list[Check]:
-    """Fit a camera to points seen at (n, 2), in image heights, and compare it with the robot's."""
+    """Fit a camera to clicked points, and compare it with the robot's.
+
+    Args:
+        scene: with the robot whose camera is checked.
+        config: of the policy's images.
+        aspect: width of the photograph relative to its height.
+        clicks: where the points were clicked, (n, 2), in image heights.
+        places: where they are, world, (n, 3) [m].
+    """
     robot = scene.robot
-    start = camera_of(robot, aspect)
+    described = camera_of(robot, aspect)
     free = most_free(len(places), robot)
-    camera = fit_camera(start, seen, places, free)
-    away = camera.see(places) - seen
-    worst = int(norm(away, axis=1).argmax()) + 1
-    residual = _rms(away)
+    camera = fit_camera(described, clicks, places, free)
+    offsets = camera.see(places) - clicks
+    worst = int(norm(offsets, axis=1).argmax()) + 1
+    residual = _rms(offsets)
     fit = Check(
         "fit",
         residual <= MAX_RESIDUAL,
@@ -157,21 +166,22 @@ def _compare(
     )
     if not fit.ok:
         return [fit]  # no camera sees these points
-    cameras = bootstrap_cameras(camera, seen, places, free, CAMERAS)
+    cameras = bootstrap_cameras(camera, clicks, places, free, CAMERAS)
     low, high = _intervals(cameras)
-    if free == LENS and low[-1] <= 0 <= high[-1]:  # to no side the lens surely distorts
+    # A distortion whose interval holds 0 is not fitted: it would only follow the clicks' noise.
+    if free == LENS and low[-1] <= 0 <= high[-1]:
         free = FOVY
-        camera = fit_camera(start, seen, places, free)
-        cameras = bootstrap_cameras(camera, seen, places, free, CAMERAS)
-    # What the policy looks at: the rectangle's corners, below and above
+        camera = fit_camera(described, clicks, places, free)
+        cameras = bootstrap_cameras(camera, clicks, places, free, CAMERAS)
+    # What the policy looks at: the rectangle's corners, on the support and at the objects' height
     corners = support_places(scene, CORNERS)
     top = [0.0, 0.0, scene.grasp_position[:, 2].max()]
-    shown = np.vstack([corners, corners + top, places])
-    half_height = start.focus[1] * np.tan(np.radians(robot.camera_fovy_deg) / 2)
+    looked_at = np.vstack([corners, corners + top, places])
+    half_height = described.focus[1] * np.tan(np.radians(robot.camera_fovy_deg) / 2)
     to_pixels = config.image_size / 2 / half_height
-    fitted = camera.see(shown)
-    moved = to_pixels * _rms(fitted - start.see(shown))
-    noise = [to_pixels * _rms(one.see(shown) - fitted) for one in cameras]
+    fitted = camera.see(looked_at)
+    moved = to_pixels * _rms(fitted - described.see(looked_at))
+    noise = [to_pixels * _rms(redrawn.see(looked_at) - fitted) for redrawn in cameras]
     unsure = float(np.quantile(noise, CONFIDENCE))
     pose = Check("camera", True, _describe(camera, cameras))
     verdict = Check(

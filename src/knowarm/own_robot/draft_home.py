@@ -52,23 +52,25 @@ def find_homes(scene: Scene, layout: Layout) -> list[Home]:
     solutions = np.concatenate([branch.joints for branch in layout.branches])
     middle = (solutions.max(axis=0) + solutions.min(axis=0)) / 2
     signed = 2 * sample_shares(scene, HOME_CANDIDATES) - 1
-    slack = 0.1 * (scene.joint_upper - scene.joint_lower)  # To the limits
+    # Least distance to the joints' limits
+    slack = 0.1 * (scene.joint_upper - scene.joint_lower)
     poses = middle + HOME_OFFSET_RAD * signed
     poses = poses.clip(scene.joint_lower + slack, scene.joint_upper - slack)
-    simulation = MujocoSimulator(scene, len(poses))
-    contacts = simulation.batch.bind("ncon").reshape(-1)
-    simulation.set_joints(poses)
-    frame = simulation.tcp_matrix
-    position = simulation.tcp_position
+    simulator = MujocoSimulator(scene, len(poses))
+    contacts = simulator.batch.bind("ncon").reshape(-1)
+    simulator.set_joints(poses)
+    frame = simulator.tcp_matrix
+    position = simulator.tcp_position
     x, y, z = position.T
     height = z - scene.robot.support_height_m
     reach = np.hypot(*scene.robot.rectangle_centre_m)
-    ways = []
+    # Distance and angle to the grasp of each target at the rectangle's middle, (K, n) each
+    errors = []
     middles = np.zeros((len(poses), 2))
     for grasp in zip(*grasps(scene, middles), strict=True):
-        way = measure(position, frame, *grasp, layout.ignore_roll)
-        ways.append(way)
-    distances, angles = np.stack(ways, axis=1)  # To each target at the middle
+        error = measure(position, frame, *grasp, layout.ignore_roll)
+        errors.append(error)
+    distances, angles = np.stack(errors, axis=1)
     nearest_m = distances.min(axis=0)
     nearest_deg = angles.min(axis=0)
     farthest_deg = angles.max(axis=0)
@@ -79,22 +81,23 @@ def find_homes(scene: Scene, layout: Layout) -> list[Home]:
         100.0 * (contacts > 0)
         + 20.0 * (height < 0.3 * reach)
         + 5.0 * (height > 1.2 * reach)
-        + 10.0 * (frame[:, 8] > 0.3)
-        + 10.0 * (np.hypot(x, y) < 0.35 * reach)
-        + 10.0 * (x < 0.2 * reach)
+        + 10.0 * (frame[:, 8] > 0.3)  # The gripper points upwards
+        + 10.0 * (np.hypot(x, y) < 0.35 * reach)  # It is above the base,
+        + 10.0 * (x < 0.2 * reach)  # or behind it
+        # A start from which the grasp has to be searched: neither given nor out of sight
         + 0.1 * np.maximum(NEAREST_DEG - nearest_deg, 0)
         + 0.1 * np.maximum(farthest_deg - FARTHEST_DEG, 0)
         + 10.0 * np.maximum(travel - TRAVEL_RAD, 0)
         + 10.0 * np.maximum(0.3 - nearest_share, 0)
         + 10.0 * np.maximum(farthest_share - 1, 0)
-        + np.abs(y) / reach
+        + np.abs(y) / reach  # Straight ahead is best
     )
     homes: list[Home] = []
     for i in np.argsort(penalty):
         if len(homes) == HOMES:
             break
-        apart = [np.abs(home.joints - poses[i]).max() for home in homes]
-        if min(apart, default=np.inf) <= DIFFERENT_RAD:
+        differences = [np.abs(home.joints - poses[i]).max() for home in homes]
+        if min(differences, default=np.inf) <= DIFFERENT_RAD:
             continue
         text = (
             f"gripper {height[i]:.2f} m above the support, "
@@ -111,18 +114,18 @@ def _reached(scene: Scene, layout: Layout, home: Home) -> float:
     position = position.reshape(-1, 3)
     matrix = matrix.reshape(-1, 9)
     start = np.tile(home.joints, (len(position), 1))
-    moved = list(scene.robot.start_joints)
+    varied = list(scene.robot.start_joints)
     ranges = scene.joint_upper - scene.joint_lower
-    offset = scene.robot.start_fraction * (ranges[moved] / 2)
-    # By turns at both ends of the start distribution
-    start[0::2, moved] += offset
-    start[1::2, moved] -= offset
+    offset = scene.robot.start_fraction * (ranges[varied] / 2)
+    # Alternate between both ends of the start distribution.
+    start[0::2, varied] += offset
+    start[1::2, varied] -= offset
     start = start.clip(scene.joint_lower, scene.joint_upper)
     solver = InverseKinematics.within_angle(
         replace(scene, home=home.joints), layout.angle_deg, layout.ignore_roll
     )
     solution = solver.solve(position, matrix, start)
     change = np.abs(solution.joints - start).max(axis=1)
-    in_time = change < MOST_TRAVEL * max(home.travel, 1e-6)
-    reached = solution.within(SUCCESS_DISTANCE_M, layout.angle_deg)
-    return float((in_time & reached).mean())
+    is_in_time = change < MOST_TRAVEL * max(home.travel, 1e-6)
+    is_reached = solution.within(SUCCESS_DISTANCE_M, layout.angle_deg)
+    return float((is_in_time & is_reached).mean())

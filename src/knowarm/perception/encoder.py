@@ -36,7 +36,7 @@ class PlaceEncoder(nn.Module):
         self.channels = channels
         self.register_buffer("facet_parts", number_facets(facets), persistent=False)
         objects, colours = (self.facet_parts.amax(1) + 1).tolist()
-        codes = attribute_codes(list(dict(facets)))  # of each name once
+        codes = attribute_codes(list(dict(facets)))  # dict: each name once
         code = None
         if codes is not None:
             code = torch.from_numpy(code_matrix(codes))
@@ -44,6 +44,7 @@ class PlaceEncoder(nn.Module):
             self.exclusive = codes[0].exclusive
             objects = code.shape[1]
         self.register_buffer("code", code, persistent=False)
+        # Two strides of 2: one feature at every fourth pixel
         quarter = channels // 4
         half = channels // 2
         layers = (
@@ -77,7 +78,8 @@ class PlaceEncoder(nn.Module):
         colours = self.colours(features).flatten(2)
         if self.code is None:
             return objects, colours
-        # But for a constant, half the score times 1 or -1 is the logarithm of the probability.
+        # An attribute's logit z has the log-probability z / 2 where the code is 1 and -z / 2 where
+        # it is -1, but for a constant.
         count = self.attributes
         names = self.code[:, :count] @ objects[:, :count] / 2
         place = objects[:, count, None].log_softmax(2)
@@ -92,7 +94,8 @@ class PlaceEncoder(nn.Module):
     def facet_scores(self, features: Tensor) -> Tensor:
         """Score the facets over all places of `features`: (n, F) float32."""
         objects, colours = self.logits(features)
-        # The sum over places of exp(object + colour) of all pairs is a product of two matrices.
+        # The sum over places of exp(object + colour) of all pairs is a product of two matrices; the
+        # largest logits are taken out, so that no exponential overflows.
         largest_object = objects.amax((1, 2), keepdim=True)
         largest_colour = colours.amax((1, 2), keepdim=True)
         of_objects = (objects - largest_object).exp()
@@ -135,6 +138,7 @@ class PlaceEncoder(nn.Module):
         rows = torch.arange(len(places))[:, None]
         objects = self.objects(features).flatten(2)
         colours = self.colours(features).flatten(2).log_softmax(1)
+        # Columns: shapes, of which one holds; parts, each of which may; the place; kinds
         ends = (self.exclusive, self.attributes, self.attributes + 1)
         at_place = objects[rows, :, places]
         shape_score, part_score, _, kind_score = at_place.tensor_split(ends, 2)

@@ -49,6 +49,7 @@ def patch_pixels(image_size: int, blocks: int) -> Tensor:
     the image, and repeats its edge there; its weights are zero.
     """
     starts = STRIDE * torch.arange(2 * blocks)
+    # Rows (or columns) of each patch, (2 * blocks, SIDE)
     lines = (starts[:, None] + torch.arange(SIDE)).clamp(max=image_size - 1)
     # axes: row and column of the block, those of the patch in it, those of the pixel, colour
     rows = lines.view(blocks, 1, 2, 1, SIDE, 1, 1)
@@ -97,9 +98,10 @@ class ImageEncoder(nn.Module):
         self.conv2 = nn.Conv2d(16, self.channels, 5, stride=2)
         self.pixel_shift = pixel_shift
         self.pixel_scale = pixel_scale
-        patches = (image_size - SIDE) // STRIDE + 1  # in a row
-        self._side = (patches - 5) // 2 + 1  # positions in a row
+        patches_per_row = (image_size - SIDE) // STRIDE + 1
+        self._side = (patches_per_row - 5) // 2 + 1  # Positions per row
         self.width = self._side**2 * self.channels
+        # Blocks per row: those that 3x3 kernels at all positions read
         self._blocks = self._side + 2
         self.patch_shape = (self._blocks**2, 4 * SIDE * SIDE * 3)
         self._pixels: Tensor
@@ -137,7 +139,8 @@ class ImageEncoder(nn.Module):
         first_bias: Tensor = bias
         if self.pixel_shift:
             first_bias = bias - self.pixel_shift * 255 * first.sum(1)
-        # The second kernel for blocks: (32, 16, 5, 5) -> (32, 64, 3, 3).
+        # The second kernel for blocks: (32, 16, 5, 5) -> (32, 64, 3, 3). Its 5x5 pixels become 6x6
+        # by a padding of zeros, which are 3x3 blocks of 2x2.
         padded = F.pad(second_weight, (0, 1, 0, 1))
         blocks = padded.unflatten(3, (3, 2)).unflatten(2, (3, 2))
         second = blocks.permute(0, 3, 5, 1, 2, 4).flatten(1, 3)
@@ -181,15 +184,17 @@ class ImageEncoder(nn.Module):
         depth = self.conv1.out_channels
         dtype = hidden.dtype
         weight = self.product_weights().second.to(dtype)
-        # The derivative of a ReLU is the sign of its result.
+        # Second convolution; the derivative of a ReLU is the sign of its result.
         d_second = gradient * features.sign()
         d_second = d_second.view(-1, self._side, self._side, self.channels)
         d_second_bias = d_second.sum((0, 1, 2))
         x = hidden.permute(0, 3, 1, 2)
         d_x = d_second.to(dtype).permute(0, 3, 1, 2)
         d_blocks = conv2d_weight(x, weight.shape, d_x).float()
+        # Back from the kernel of blocks to that of patches
         d_blocks = d_blocks.view(-1, 2, 2, depth, 3, 3)
         d_kernel = d_blocks.permute(0, 3, 4, 1, 5, 2).reshape(-1, depth, 6, 6)
+        # First convolution
         d_first = conv2d_input(x.shape, weight, d_x).mul_(x.sign())
         d_first = d_first.permute(0, 2, 3, 1).reshape(-1, depth)
         pixels = patches.reshape(len(d_first), -1).to(dtype)

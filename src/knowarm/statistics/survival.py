@@ -30,7 +30,7 @@ def median_steps(steps: Floats, reached: Mask) -> tuple[Step, Step, Step]:
         Estimate, low, high; None for an end that the observed runs do not show.
     """
     curve = _below_threshold(steps, reached)
-    with warnings.catch_warnings():  # the interval is NaN where S is 0 or 1
+    with warnings.catch_warnings():  # The interval is NaN where S is 0 or 1.
         warnings.simplefilter("ignore", RuntimeWarning)
         ends = curve.confidence_interval(CONFIDENCE, method="log-log")
 
@@ -66,21 +66,22 @@ def restricted_mean_steps(steps: Floats, reached: Mask, until: float) -> Interva
     heights = np.append(1.0, curve.probabilities)
     widths = np.diff(curve.quantiles, prepend=0.0, append=until)
     areas = heights * widths
-    right = _sum_from_right(areas)[1:]  # area from each step to `until`
+    areas_right = _sum_from_right(areas)[1:]  # From each step to `until`
     _, index, runs = np.unique(counted, return_inverse=True, return_counts=True)
     crossings = np.bincount(index, weights=reached)
     at_risk = _sum_from_right(runs)
-    left = at_risk - crossings
-    pairs = at_risk * left
-    terms = np.zeros(len(left))
-    np.divide(crossings, pairs, out=terms, where=left > 0)
-    terms *= right**2
+    staying = at_risk - crossings
+    pairs = at_risk * staying
+    # Where no run stays, no area is left to its right, and the term is 0.
+    terms = np.zeros(len(staying))
+    np.divide(crossings, pairs, out=terms, where=staying > 0)
+    terms *= areas_right**2
     variance = terms.sum()
     quantile = scipy.stats.norm.ppf(0.5 + CONFIDENCE / 2)
-    half = float(quantile * np.sqrt(variance))
+    half_width = float(quantile * np.sqrt(variance))
     estimate = float(areas.sum())
-    low = max(0.0, estimate - half)
-    high = min(until, estimate + half)
+    low = max(0.0, estimate - half_width)
+    high = min(until, estimate + half_width)
     return Interval(estimate, low, high)
 
 
@@ -153,10 +154,10 @@ def trend(values: Floats, window: int) -> Floats:
         values: (n,) float64.
         window: number of points averaged in the middle; one more if it is even.
     """
-    total = np.append(0.0, np.cumsum(values))
+    cumulative = np.append(0.0, np.cumsum(values))
     index = np.arange(len(values))
-    to_end = np.minimum(index, index[::-1])
-    reach = np.minimum(window // 2, to_end)
-    first = index - reach
-    end = index + reach + 1
-    return (total[end] - total[first]) / (end - first)
+    to_nearer_end = np.minimum(index, index[::-1])
+    half_window = np.minimum(window // 2, to_nearer_end)
+    first = index - half_window
+    end = index + half_window + 1
+    return (cumulative[end] - cumulative[first]) / (end - first)

@@ -29,7 +29,7 @@ PRACTICE_NOISE = 4.0
 """Standard deviation of the noise on every joint of a practice start, in largest steps."""
 
 _STREAM = np.uint64(derive(0, "practice"))
-"""Tells the draws of practice starts from those of the episodes."""
+"""Keeps the draws of practice starts apart from those of the episodes."""
 
 
 class GoalTable:
@@ -42,7 +42,7 @@ class GoalTable:
     Args:
         state: episodes of the task.
 
-    A warning tells the share of nodes without a solution if it is large.
+    Logs a warning with the share of nodes that are reached if many are not.
     """
 
     def __init__(self, state: EpisodeState) -> None:
@@ -53,15 +53,17 @@ class GoalTable:
         self._low = centre - half_size
         self._cell = np.maximum(2 * half_size / (NODES - 1), 1e-9)
         arm = build_scene(robot, targets[:1])  # each object takes time and memory
-        every = np.arange(len(targets))
+        # One solution per object, at the rectangle's centre, from which its nodes are solved
+        numbers = np.arange(len(targets))
         copies = (len(targets), 1)
-        position, matrix = state.goal_frames(every, np.tile(centre, copies))
+        position, matrix = state.goal_frames(numbers, np.tile(centre, copies))
         solver = InverseKinematics.of_task(arm, state)
         start = np.tile(arm.home, copies)
         reference = solver.solve(position, matrix, start).joints
+        # Goal frames of each object at all nodes, (K * NODES^2, ...)
         x, y = self._low[:, None] + self._cell[:, None] * np.arange(NODES)
         nodes = np.array(list(product(x, y)))
-        self._objects = np.repeat(every, len(nodes))
+        self._objects = np.repeat(numbers, len(nodes))
         places = np.tile(nodes, copies)
         self._position, self._matrix = state.goal_frames(self._objects, places)
         self._solver = InverseKinematics.of_task(arm, state, starts=1)
@@ -84,25 +86,26 @@ class GoalTable:
 
     def __call__(self, objects: Integers, places: Floats) -> Floats:
         """Return the joint angles for objects (k,) at places (k, 2) [m], (k, J) [rad]."""
+        # Bilinear interpolation between the four nodes (i, j) to (i + 1, j + 1) around a place
         scaled = (places - self._low) / self._cell
         scaled = scaled.clip(0, NODES - 1)
         corner = np.minimum(scaled.astype(np.int64), NODES - 2)
         i, j = corner.T
         x, y = (scaled - corner).T[..., None]
-        table = self._joints
-        low = interpolate(table[objects, i, j], table[objects, i, j + 1], y)
-        high = interpolate(table[objects, i + 1, j], table[objects, i + 1, j + 1], y)
+        joints = self._joints
+        low = interpolate(joints[objects, i, j], joints[objects, i, j + 1], y)
+        high = interpolate(joints[objects, i + 1, j], joints[objects, i + 1, j + 1], y)
         return interpolate(low, high, x)
 
     def _solve(self, position: Floats, start: Floats) -> IKSolution:
-        """Solve for all nodes from joint angles ``start``, without tries from elsewhere."""
+        """Solve for all nodes from joint angles ``start`` alone, to stay on their branch."""
         return self._solver.solve(position, self._matrix, start, 1)
 
 
 class Teacher:
-    """Knows the joint angles that solve every running episode; an image is not looked at.
+    """Computes the joint angles that solve every running episode, from its state without images.
 
-    It also moves the starts of a share of the episodes to the way from start to solution
+    It also moves the starts of a share of the episodes onto the way from start to solution
     (`practice`), so that a student sees all of the way before it can follow it.
 
     Args:
@@ -135,13 +138,13 @@ class Teacher:
         ends = np.cumsum([1, 1, joints, joints])
         share, moved, radial, angular, choice = np.split(draws, ends, axis=1)
         is_moved = moved < self.practice_share
-        # Normal draws (Box and Muller 1958)
+        # Normal noise of one largest step (Box and Muller 1958)
         radius = np.sqrt(-2 * np.log1p(-radial))
         noise = np.cos(2 * np.pi * angular)
         noise *= radius
         noise *= self._largest
         offsets = episodes.joint_offsets.copy()
-        of_arm = offsets[:, :joints]
+        of_arm = offsets[:, :joints]  # A view, written below
         start = home + of_arm
         point = self.practice_point(episodes, start, share, noise, choice)
         point = point.clip(scene.joint_lower[:joints], scene.joint_upper[:joints])
@@ -167,7 +170,7 @@ class Teacher:
 
 
 def interpolate(start: Floats, end: Floats, share: Floats) -> Floats:
-    """Return what is a share of the way from ``start`` to ``end``."""
+    """Interpolate linearly: ``start`` at a share of 0, ``end`` at 1."""
     return (1 - share) * start + share * end
 
 
@@ -177,6 +180,6 @@ def towards(goals: Floats, start: Floats, share: Floats) -> Floats:
     As the teacher moves: every joint by the largest step until it arrives.
     """
     way = goals - start
-    farthest = np.abs(way).max(axis=1, keepdims=True)
-    reached = share * farthest
-    return start + way.clip(-reached, reached)
+    longest = np.abs(way).max(axis=1, keepdims=True)
+    moved = share * longest
+    return start + way.clip(-moved, moved)

@@ -73,17 +73,17 @@ class LayoutSource:
         position = np.zeros((n, m, 2))
         fitting = np.zeros(n, bool)
         for attempt in range(ATTEMPTS):
-            again, fits = self._attempt(drawn[:, attempt], objects)
-            position = np.where(fitting[:, None, None], position, again)
-            fitting |= fits
+            new_position, new_fitting = self._attempt(drawn[:, attempt], objects)
+            position = np.where(fitting[:, None, None], position, new_position)
+            fitting |= new_fitting
         return np.repeat(position, self._parts, axis=1), fitting
 
     def _attempt(self, uniforms: Floats, objects: Integers) -> Placed:
         """Place the objects once, with draws (n, m, T, 2); returns as ``__call__``."""
         n, m = objects.shape
         rows = np.arange(n)
-        signs = 2 * uniforms - 1
-        drawn = self._centre + signs * self._half
+        signed = 2 * uniforms - 1
+        candidates = self._centre + signed * self._half
         indices = objects[..., None]
         fitting = np.ones(n, bool)
         placed = np.zeros((n, m, 1, 2))
@@ -92,27 +92,29 @@ class LayoutSource:
             # T candidates beside each of j placed objects: arrays (n, j, T, ...)
             new = slice(j, j + 1)
             pairs = (
-                drawn[:, new],
+                candidates[:, new],
                 indices[:, new],
                 placed[:, :j],
                 indices[:, :j],
             )
-            of_new, of_old = self._hidden(*pairs)
-            all_of_new = of_new.sum(axis=1, keepdims=True)
-            shares = np.concatenate([hidden + of_old, all_of_new], axis=1)
-            fits = np.all(shares <= MAX_HIDDEN, axis=1)
+            # Shares are added as if no two objects hid the same part of a third one.
+            hidden_of_new, hidden_of_placed = self._hidden(*pairs)
+            total_of_new = hidden_of_new.sum(axis=1, keepdims=True)
+            totals = np.concatenate([hidden + hidden_of_placed, total_of_new], axis=1)
+            fits = np.all(totals <= MAX_HIDDEN, axis=1)
             fits &= np.all(self._apart(*pairs), axis=1)
+            # The first that fits; where none does, the first of all, and the layout fails.
             first = fits.argmax(axis=1)
             fitting &= fits[rows, first]
-            hidden = shares[rows, :, first][..., None]
-            placed[:, j, 0] = drawn[rows, j, first]
+            hidden = totals[rows, :, first][..., None]
+            placed[:, j, 0] = candidates[rows, j, first]
         return placed[:, :, 0], fitting
 
     def _apart(self, a: Floats, of_a: Integers, b: Floats, of_b: Integers) -> Mask:
         """Return which objects at a and b, (..., 2) [m], do not overlap, (...) bool."""
-        way = (b - a) @ self._directions
+        distance = (b - a) @ self._directions
         least = self._reach[of_a] + self._opposite[of_b]
-        return np.any(way > least, axis=-1)
+        return np.any(distance > least, axis=-1)
 
     def _hidden(
         self, a: Floats, of_a: Integers, b: Floats, of_b: Integers
@@ -126,6 +128,7 @@ class LayoutSource:
         overlap = _area(sides.clip(min=0))
         share_a = overlap / _area(high_a - low_a)
         share_b = overlap / _area(high_b - low_b)
+        # Only the farther of the two is hidden.
         is_nearer = depth_a < depth_b
         share_a[is_nearer] = 0.0
         share_b[~is_nearer] = 0.0
@@ -133,10 +136,10 @@ class LayoutSource:
 
     def _in_image(self, position: Floats, objects: Integers) -> tuple[Floats, ...]:
         """Return corners (..., 2) of the rectangles around objects in the image, and depths."""
-        camera = position @ self._slope
-        camera += self._offset
-        centre = camera[..., :2]
-        depth = -camera[..., 2:]
+        in_camera = position @ self._slope
+        in_camera += self._offset
+        centre = in_camera[..., :2]
+        depth = -in_camera[..., 2:]
         low = (centre - self._outline_low[objects]) / depth
         high = (centre + self._outline_high[objects]) / depth
         return low, high, depth[..., 0]
@@ -156,6 +159,7 @@ def support(scene: Scene, directions: Floats) -> Floats:
     """
     model = scene.model
     data = scene.at(scene.home)
+    # Parts of one object share a number.
     names = [object_of(target.name) for target in scene.targets]
     _, number = np.unique(names, return_inverse=True)
     extent = np.full((len(names), len(directions)), -np.inf)
@@ -163,10 +167,10 @@ def support(scene: Scene, directions: Floats) -> Floats:
         body = model.body_rootid[model.geom_bodyid[geom]]
         centre = data.geom_xpos[geom] - data.xpos[body]
         local = directions @ data.geom_xmat[geom].reshape(3, 3)
-        along = directions @ centre
-        along += _half_width(model, geom, local)
+        farthest = directions @ centre
+        farthest += _half_width(model, geom, local)
         k = number[scene.geom_target[geom]]
-        extent[k] = np.maximum(extent[k], along)
+        extent[k] = np.maximum(extent[k], farthest)
     return extent[number]
 
 

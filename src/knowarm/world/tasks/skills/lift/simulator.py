@@ -10,13 +10,12 @@ from knowarm.world.backend import MujocoSimulator
 from knowarm.world.scene.compose import CONTROL_PERIOD_S
 from knowarm.world.tasks.skills.lift.model import FINGERS, LiftScene
 
-# Height from which hidden objects fall, for 4,500 steps, and touch nothing [m]
-
-PARKED_M = 1e6
-
+PARKED_M = (
+    1e6  # Height from which hidden objects fall for 4,500 steps and touch nothing [m]
+)
 NEAR_M = 0.25  # Distance of gripper and objects' centres of mass from which fingers may grip [m]
 FREE_SUBSTEPS = 10  # Physics steps of a control period in which nothing can be gripped
-_CONTACTS = mjtStage.mjSTAGE_ACC.value  # The sensors of touch need the contacts' forces
+TOUCH_STAGE = mjtStage.mjSTAGE_ACC.value  # Touch sensors read the forces of contacts
 
 
 class LiftSimulator(MujocoSimulator):
@@ -36,33 +35,36 @@ class LiftSimulator(MujocoSimulator):
     ) -> None:
         model = scene.model
         joints = scene.num_joints
+        # One servo per joint, and one of the second finger, which takes the first one's target
         self._servo_joint = np.arange(joints + 1).clip(max=joints - 1)
         super().__init__(scene, num_envs, num_threads)
-        self._objects = scene
+        self._lift_scene = scene
         self._rows = np.arange(num_envs)
         self._free_substeps = free_substeps
         self._substeps = round(CONTROL_PERIOD_S / model.opt.timestep)
-        self._stage = _CONTACTS
+        self._stage = TOUCH_STAGE
         self._timestep = self.batch.expand("opt.timestep")
         self._centre = self.batch.bind("xipos")
         self._touch = self.batch.bind("sensordata").reshape(num_envs, -1, len(FINGERS))
-        self._fingers = model.jnt_qposadr[[model.joint(name).id for name in FINGERS]]
+        self._finger_qpos = model.jnt_qposadr[
+            [model.joint(name).id for name in FINGERS]
+        ]
         # Indices in qpos of each target's pose, (K, 7)
-        self._poses = scene.object_qpos[:, None] + np.arange(7)
+        self._target_qpos = scene.object_qpos[:, None] + np.arange(7)
         data = MjData(model)
-        data.qpos[self._poses] = scene.rest
+        data.qpos[self._target_qpos] = scene.rest
         mj_kinematics(model, data)
         mj_comPos(model, data)
-        # Centres of mass on the support, x and y apart, (K, 3)
+        # Centres of mass of objects that stand on the support, x and y from their place, (K, 3)
         self._rest_centre = data.xipos[scene.bodies].copy()
 
     def centre(self, targets: Integers) -> Floats:
         """Return the centre of mass of one target per environment, world, (n, 3) [m]."""
-        return self._centre[self._rows, self._objects.bodies[targets]]
+        return self._centre[self._rows, self._lift_scene.bodies[targets]]
 
     def place(self, targets: Integers) -> Floats:
         """Return x and y of one target per environment, (n, 2) [m]."""
-        return self._qpos[self._rows[:, None], self._poses[targets, :2]]
+        return self._qpos[self._rows[:, None], self._target_qpos[targets, :2]]
 
     def rise(self, targets: Integers) -> Floats:
         """Return how far each target's centre of mass is above where it stood, (n,) [m]."""
@@ -79,17 +81,17 @@ class LiftSimulator(MujocoSimulator):
 
     def pose(self, targets: Integers) -> tuple[Floats, Floats]:
         """Return origin (n, 3) [m] and rotation (n, 3, 3) of one target per environment, world."""
-        pose = self._qpos[self._rows[:, None], self._poses[targets]]
-        turn = Rotation.from_quat(pose[:, 3:], scalar_first=True)
-        return pose[:, :3], turn.as_matrix()
+        pose = self._qpos[self._rows[:, None], self._target_qpos[targets]]
+        rotation = Rotation.from_quat(pose[:, 3:], scalar_first=True)
+        return pose[:, :3], rotation.as_matrix()
 
     def set_pose(
-        self, ids: Indices, targets: Integers, origin: Floats, turn: Floats
+        self, ids: Indices, targets: Integers, origin: Floats, matrix: Floats
     ) -> None:
-        """Put one target of each of some environments (k,) somewhere, as by ``pose``."""
-        quaternion = Rotation.from_matrix(turn).as_quat(scalar_first=True)
+        """Set the pose of one target in each of some environments (k,); see `pose`."""
+        quaternion = Rotation.from_matrix(matrix).as_quat(scalar_first=True)
         pose = np.column_stack([origin, quaternion])
-        self._qpos[ids[:, None], self._poses[targets]] = pose
+        self._qpos[ids[:, None], self._target_qpos[targets]] = pose
 
     def touched(self, targets: Integers) -> Mask:
         """Return whether both fingers touch one target per environment, (n,)."""
@@ -104,22 +106,26 @@ class LiftSimulator(MujocoSimulator):
     ) -> None:
         """Put the targets on their support, or far above, and the second finger as the first."""
         rows = ids[:, None]
-        self._qpos[rows, self._fingers] = self._qpos[rows, self._fingers[:1]]
-        poses = np.repeat(self._objects.rest[None], len(ids), axis=0)
+        self._qpos[rows, self._finger_qpos] = self._qpos[rows, self._finger_qpos[:1]]
+        poses = np.repeat(self._lift_scene.rest[None], len(ids), axis=0)
         poses[..., :2] = position
         if visible is not None:
-            parked = PARKED_M * np.arange(1, len(self._poses) + 1)
-            poses[..., 2] += parked * ~visible
-        self._qpos[rows[:, None], self._poses] = poses
+            # Each at a height of its own, so that they do not touch each other
+            heights = PARKED_M * np.arange(1, len(self._target_qpos) + 1)
+            poses[..., 2] += heights * ~visible
+        self._qpos[rows[:, None], self._target_qpos] = poses
 
     def _set_servos(self, ids: Indices | slice, joint_targets: Floats) -> None:
         """Set the servos' targets; that of the second finger follows the first one's."""
         self._ctrl[ids] = joint_targets[:, self._servo_joint]
 
     def step(self, joint_targets: Floats) -> None:
-        """Advance by a control period to joint targets (n, J) [rad]; a grip takes small steps."""
+        """Advance by a control period to joint targets (n, J) [rad].
+
+        Contacts of a grip need small physics steps; elsewhere the few of ``free_substeps`` do.
+        """
         self._set_servos(slice(None), joint_targets)
-        centres = self._centre[:, self._objects.bodies]
+        centres = self._centre[:, self._lift_scene.bodies]
         distance = norm(centres - self.tcp_position[:, None], axis=2).min(axis=1)
         can_grip = (distance < NEAR_M) & self._may_grip(joint_targets)
         self._advance(np.flatnonzero(~can_grip), self._free_substeps)
@@ -130,7 +136,7 @@ class LiftSimulator(MujocoSimulator):
     ) -> None:
         """As `MujocoSimulator.set_joints`, the second finger as the first."""
         rows = np.arange(len(joint_positions)) if env_ids is None else env_ids
-        self._qpos[rows[:, None], self._fingers] = joint_positions[:, -1:]
+        self._qpos[rows[:, None], self._finger_qpos] = joint_positions[:, -1:]
         super().set_joints(joint_positions, env_ids)
 
     def _may_grip(self, joint_targets: Floats) -> Mask:

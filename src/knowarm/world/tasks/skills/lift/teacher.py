@@ -26,8 +26,8 @@ RISE_M = (0.04, 0.08, 0.12)  # Heights of the poses of the way upwards
 POINTS = 6  # Points between two poses
 AHEAD = 4  # Points from the one that is passed to the one that is aimed at
 PASSED = (1.0, 0.6)
-"""Largest error of a joint at which a point is passed, first and last one [largest steps]."""
-LOST = 4.0  # Error from which the way starts again at its first point [largest steps]
+"""Largest error of a joint at which the first and the last point are passed [largest steps]."""
+LOST = 4.0  # Error at every point from which the way starts again at its first [largest steps]
 CLOSE_M = 0.025
 CLOSE_DEG = 12.0
 """Largest distance and angle to the grasp frame at which fingers close; an arm of small steps has
@@ -74,28 +74,30 @@ class LiftTeacher(Teacher):
         closed_m = state.scene.joint_upper[-1]
         is_closed = fingers > closed_m / 2
         is_held = is_closed & self._simulator.touched(target)
+        # Fingers that meet hold nothing, and open again.
         met_m = closed_m - SQUEEZE_M - MET_M
         have_met = self._simulator.joint_positions[:, -1] > met_m
         is_closing = is_closed & ~is_held & ~have_met
         # Open fingers follow an object that was pushed; closed ones keep to where it stood.
-        now = self._simulator.place(target)
-        places = np.where(is_closed[:, None], state.positions[:, 0], now)
+        place_now = self._simulator.place(target)
+        places = np.where(is_closed[:, None], state.positions[:, 0], place_now)
         approach = _points(self._approach, target, places)
         error = _largest_errors(approach, joints) / self._largest
-        following = _next_point(error)
+        aimed_at = _next_point(error)
         rise = _points(self._rise, target, places)
-        lowest = _largest_errors(rise, joints).argmin(axis=0)
-        above = np.minimum(lowest + AHEAD, len(rise) - 1)
+        nearest = _largest_errors(rise, joints).argmin(axis=0)
+        above = np.minimum(nearest + AHEAD, len(rise) - 1)
         rows = np.arange(len(joints))
-        pose = approach[following, rows]
-        pose = np.where(is_held[:, None], rise[above, rows], pose)
-        pose = np.where(is_closing[:, None], joints, pose)
+        arm_goal = approach[aimed_at, rows]
+        arm_goal = np.where(is_held[:, None], rise[above, rows], arm_goal)
+        # The arm waits while the fingers close.
+        arm_goal = np.where(is_closing[:, None], joints, arm_goal)
         is_at_grasp = is_success(
             state.distance, state.angle, self._close_m, self._close_deg
         )
         closes = is_held | is_closing | (~is_closed & is_at_grasp)
         finger_goals = np.where(closes, closed_m, 0.0)
-        goals = np.column_stack([pose, finger_goals])
+        goals = np.column_stack([arm_goal, finger_goals])
         return (goals - state.joint_targets) / self._largest
 
     def practice_point(
@@ -107,14 +109,15 @@ class LiftTeacher(Teacher):
         choice: Floats,
     ) -> Floats:
         """Return joint angles on the approach, or before it, (k, J) [rad]."""
-        way = _points(self._approach, episodes.target, episodes.position)
-        point = (share[:, 0] * len(way)).astype(np.int64)
-        ends = (0, len(way) - 1)
+        approach = _points(self._approach, episodes.target, episodes.position)
+        point = (share[:, 0] * len(approach)).astype(np.int64)
+        # Less noise near the object, which the fingers would push
+        ends = (0, len(approach) - 1)
         spread = np.interp(point, ends, (PRACTICE_NOISE, NOISE_AT_GRASP))[:, None]
         rows = np.arange(len(point))
-        on_way = way[point, rows] + spread * noise
-        before = towards(way[0], start, share) + PRACTICE_NOISE * noise
-        return np.where(choice < ON_APPROACH, on_way, before)
+        on_approach = approach[point, rows] + spread * noise
+        before = towards(approach[0], start, share) + PRACTICE_NOISE * noise
+        return np.where(choice < ON_APPROACH, on_approach, before)
 
 
 def _points(tables: Sequence[GoalTable], objects: Integers, places: Floats) -> Floats:
@@ -134,9 +137,11 @@ def _next_point(error: Floats) -> Integers:
     """Return the point of the approach to aim at, (n,), from the error at each, (W, n)."""
     last = len(error) - 1
     nearest = error.argmin(axis=0)
-    passed_below = np.linspace(*PASSED, len(error))
-    is_passed = error < passed_below[:, None]
+    tolerance = np.linspace(*PASSED, len(error))
+    is_passed = error < tolerance[:, None]
+    # The last True of each column is the first one from behind.
     furthest = last - is_passed[::-1].argmax(axis=0)
     ahead = np.minimum(furthest + AHEAD, last)
     point = np.where(is_passed.any(axis=0), ahead, nearest)
-    return np.where(error.min(axis=0) > LOST, 0, point)
+    is_lost = error.min(axis=0) > LOST
+    return np.where(is_lost, 0, point)

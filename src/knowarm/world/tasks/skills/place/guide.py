@@ -20,23 +20,23 @@ from knowarm.world.tasks.skills.lift.guide import (
 from knowarm.world.tasks.skills.place.tray import THICK_M
 from knowarm.world.tasks.state import Frames
 
-CARRY_M = (0.10, 0.18, 0.28)  # Heights at which the object is carried
+CARRY_M = (0.10, 0.18, 0.28)  # Heights above the support at which the object is carried
 RELEASE_M = 0.004  # Height above the tray at which it is let go
 TURNS_DEG = (0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180)
 """Turns of the object about the vertical on the way to the tray."""
 
-RISE = np.array([1.0, 2.0, 3.0]) / 3  # Shares of the height on the way up
-LOWER = np.array([0.0, 0.1, 0.3, 0.6, 1.0])  # and over the tray, from below
+RISE = np.array([1.0, 2.0, 3.0]) / 3  # Shares of that height on the way up
+LOWER = np.array([0.0, 0.1, 0.3, 0.6, 1.0])  # The same over the tray, from below
 AWAY_M = 0.10  # Way upwards after the gripper has left the object
-UNREACHED = 1000.0
+UNREACHED = 1000.0  # Cost of a pose over the tray that the arm does not reach [steps]
 UP = np.array([0.0, 0.0, 1.0])
 
 
 class PlaceGuide(LiftGuide):
     """Takes an object as `LiftGuide`, carries it to the tray, lets it go and leaves.
 
-    Of several turns of the object and heights it takes the first way on which arm and object touch
-    nothing, short ones first. Where there is none, it takes the shortest.
+    It tries turns of the object, those with the shortest way first, each at several heights, and
+    takes the first way on which arm and object touch nothing; where there is none, the first.
     """
 
     def _after_grip(
@@ -51,37 +51,39 @@ class PlaceGuide(LiftGuide):
         rise = np.zeros((n, len(RISE), grasp.shape[1]))
         lower = np.zeros((n, len(LOWER), grasp.shape[1]))
         is_free = np.zeros(n, bool)
-        is_solved = False
+        is_first = True
         for ranked, height in product(np.argsort(cost, axis=0), CARRY_M):
             ids = np.flatnonzero(~is_free)
             if not len(ids):
                 break
-            chosen = (ranked[ids], ids)
+            turn = (ranked[ids], ids)
             up = self._vertical(start[0][ids], start[1][ids], grasp[ids], height * RISE)
             down = self._vertical(
-                position[chosen], matrix[chosen], joints[chosen], height * LOWER
+                position[turn], matrix[turn], joints[turn], height * LOWER
             )[:, ::-1]
             carry = np.concatenate([up, self._path(up[:, -1], down[:, :-1])], axis=1)
-            is_good = cost[chosen] < UNREACHED
+            is_good = cost[turn] < UNREACHED
             is_good &= surroundings.are_free(ids, carry, 0.0)
-            taken = is_good if is_solved else np.ones(len(ids), bool)
-            rise[ids[taken]] = up[taken]
-            lower[ids[taken]] = down[taken]
+            # Where no way turns out to be free, the first one stays.
+            is_taken = is_good | is_first
+            rise[ids[is_taken]] = up[is_taken]
+            lower[ids[is_taken]] = down[is_taken]
             is_free[ids] = is_good
-            is_solved = True
+            is_first = False
         self.is_free &= is_free
         return self._legs(rise, lower)
 
     def _over_tray(
         self, start: Frames, sight: Sight, grasp: Floats
     ) -> tuple[Floats, Frames, Floats]:
-        """Solve for the gripper where the object is let go, by T turns of the object.
+        """Solve for the gripper's pose where it lets go of the object, for each of T turns.
 
         Returns:
             Joint angles (T, n, A), positions (T, n, 3) and rotations (T, n, 9) of the gripper, and
-            the steps to there, (T, n).
+            costs: steps to there, or `UNREACHED`, (T, n).
         """
         position, matrix = start
+        # The gripper relative to the object, which it keeps while the object is held
         offset = position.copy()
         offset[:, :2] -= sight.places[:, 0]
         assert sight.destination is not None
@@ -91,12 +93,12 @@ class PlaceGuide(LiftGuide):
         for degrees in TURNS_DEG:
             turn = rotation(2, degrees)
             goal = tray + offset @ turn.T
-            turned = (turn @ matrix.reshape(-1, 3, 3)).reshape(-1, 9)
-            solution = self._solver.solve(goal, turned, grasp, attempts=1)
+            goal_matrix = (turn @ matrix.reshape(-1, 3, 3)).reshape(-1, 9)
+            solution = self._solver.solve(goal, goal_matrix, grasp, attempts=1)
             steps = np.abs(solution.joints - grasp).max(axis=1) / self._largest
             is_reached = solution.within(REACHED_M, REACHED_DEG)
             cost = np.where(is_reached, steps, UNREACHED)
-            ways.append((solution.joints, goal, turned, cost))
+            ways.append((solution.joints, goal, goal_matrix, cost))
         joints, positions, matrices, costs = map(np.stack, zip(*ways, strict=True))
         return joints, (positions, matrices), costs
 
@@ -135,8 +137,8 @@ class ReturningGuide(PlaceGuide):
     ) -> list[Leg]:
         """Add the leg back."""
         legs = super()._after_grip(sight, path, surroundings)
-        came = path[
-            :, : -len(BACK_M) - 1
-        ]  # Without the straight approach and the grasp
-        left = legs[-1].points[:, -1]
-        return [*legs, self._moving(self._path(left, came[:, ::-1]), 0.0)]
+        # Without the straight approach and the grasp
+        way_there = path[:, : -len(BACK_M) - 1]
+        beside_tray = legs[-1].points[:, -1]
+        way_back = self._path(beside_tray, way_there[:, ::-1])
+        return [*legs, self._moving(way_back, 0.0)]
