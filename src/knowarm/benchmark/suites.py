@@ -37,7 +37,7 @@ CONTROLS = {
     "black": "the policy on black images",
     "frozen": "the policy, which sees only the first image of an episode",
     "shuffled query": "the policy with the queries of other episodes",
-    "shuffled facts": "the policy told what holds in other episodes, as which tray is which place",
+    "shuffled facts": "the policy given what holds in other episodes, as which tray is which place",
     "shuffled graph": "the policy with a graph whose tails are permuted within each relation",
     "shuffled places": "the policy where such a graph says where objects belong",
     "shuffled both": "the policy where such a graph says both",

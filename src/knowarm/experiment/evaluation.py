@@ -66,7 +66,7 @@ class Subject:
     graph: KnowledgeGraph | None = None
     """The graph that the agent knows; None for that of its training."""
     queries: tuple[Query, ...] | None = None
-    """What alone it is told of, a row each; None for all queries of the task."""
+    """The only queries that it is given, a row each; None for all queries of the task."""
     reasoning: Reasoning | None = None
     """What it answers queries by; None for what it was trained with."""
     unclear: Unclear = "guess"
@@ -417,9 +417,9 @@ class BlindProbe(BaseProbe):
 
         By name of a blind agent its ``episodes``, ``success`` and ``difference``, the success of
         the agent over all episodes minus its own; ``vision_gain`` is the smallest difference to an
-        agent that sees nothing. ``binding`` says whether an agent follows its question: it plays
-        the episodes again, told a question whose answer is another visible object, and the share of
-        right choices falls by this much.
+        agent that sees nothing. ``binding`` says whether an agent follows its question: given the
+        question of another visible object in each episode, its share of right choices falls by
+        this much.
         """
         if not played.is_trained:
             return
@@ -473,7 +473,7 @@ def probe_types() -> list[type[BaseProbe]]:
 
 
 def optional_probes() -> list[type[BaseProbe]]:
-    """List the probes without options that an evaluation has only where it is told so."""
+    """List the probes without options that an evaluation has only on request."""
     return [PairsProbe, *task_probes()]
 
 

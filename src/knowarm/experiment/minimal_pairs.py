@@ -25,7 +25,7 @@ from knowarm.world.tasks.probe import BaseProbe, Findings, ReportTable
 from knowarm.world.tasks.sampling import Episodes
 
 VERSIONS = ("true", *get_args(EditKind), "foreign")
-"""What the agent is told in the versions of an episode, whose image and question are the same: the
+"""What the agent is given in the versions of an episode, whose image and question are the same: the
 graph, the graph after an edit, the question of another visible object."""
 TEXTS = (
     "fact_kind",
@@ -41,7 +41,7 @@ OUTCOMES = ("pair_right", "flips", "false_flips", "stays", "follows", "acts")
 
 @dataclass(frozen=True, kw_only=True)
 class PairsProbe(BaseProbe):
-    """Play each episode again with one triple edited, removed, or another question told.
+    """Play each episode again with one triple edited, removed, or another question given.
 
     Only episodes count whose question allows all edits (`Question.minimal_pair`).
     """
@@ -55,7 +55,7 @@ class PairsProbe(BaseProbe):
         note="Episodes with the same image and question, in which one triple of the graph that the "
         "agent knows is edited: flips, the fact that decides given to another visible object; "
         "false flips, a triple of the same relation and value moved between objects out of sight; "
-        "stays, the fact removed; follows, told the question of another visible object.",
+        "stays, the fact removed; follows, given the question of another visible object.",
     )
     kind: Literal["pairs"] = "pairs"
 

@@ -22,16 +22,16 @@ from knowarm.world.scene.mjcf import check_names
 from knowarm.world.tasks.skills import SKILLS
 
 MOST_ERROR = 0.04
-"""Largest share by which a joint moves more or less than it was told to: .2 of five degrees."""
+"""Largest share by which a joint moves more or less than commanded: .2 of five degrees."""
 
 TURNED = {"deg": 5.0, "rad": math.radians(5), "ticks": 5 * TICKS / 360}
-"""What a hinge is told, in the units in which arms read it."""
+"""Commanded motion of a hinge, in the units in which arms read it."""
 
 SLID = {"m": 0.01, "mm": 10.0}
-"""What a slide is told, and each finger."""
+"""Commanded motion of a slide, and of each finger."""
 
 COLUMNS = ("joint", "before", "after", "unit")
-"""The model's joint, what the arm read before and after it was told to move, and in which unit. A
+"""The model's joint, what the arm read before and after the command to move, and in which unit. A
 joint may have several rows, of which the mean counts."""
 
 REMEDY = (
@@ -115,7 +115,7 @@ def _read(path: Path) -> list[tuple[str, float, str]]:
 
 
 def _check_ratio(name: str, real: RealJoint, ratio: float, limits: Floats) -> Check:
-    """Check how many times as far as it was told a joint moved."""
+    """Check how many times as far as commanded a joint moved."""
     low, high = map(float, real.range or limits)
     if ratio < 0:
         remedy = f"It moves the other way: joint_map.{name}.sign = {-real.sign}"
@@ -134,5 +134,5 @@ def _check_ratio(name: str, real: RealJoint, ratio: float, limits: Floats) -> Ch
     else:
         scale = real.scale / ratio
         remedy = f"It counts otherwise: joint_map.{name}.scale = {scale:.4f}, or another unit."
-    found = f"moved {ratio:.3f} times as far as it was told"
+    found = f"moved {ratio:.3f} times as far as commanded"
     return Check(f"joint {name}", abs(ratio - 1) <= MOST_ERROR, found, remedy)

@@ -33,9 +33,9 @@ class Batch:
     graph: Collection[tuple[str, str, str]] | None = None
     """Triples that replace the agent's own graph in these episodes."""
     facts: Mapping[str, Array] = field(default_factory=dict)
-    """What else the task tells of each episode, (n, ...); see `Skill.facts`."""
+    """What else the task gives of each episode, (n, ...); see `Skill.facts`."""
     own_rows: Integers | None = None
-    """Rows of an agent that is told each episode apart, (n,); None: those of the names."""
+    """Rows of an agent whose knowledge is given per episode, (n,); None: those of the names."""
 
     @classmethod
     def of(cls, env: ArmVectorEnv) -> Self:

@@ -33,8 +33,8 @@ class Task:
     """What an episode is: a pair of choices that know nothing of each other.
 
     What is asked decides which objects stand where, which of them is meant, and what a policy is
-    told of it. The skill decides how actions move the arm and when the object is reached, lifted
-    or lost. The library calls the two parts, and here what follows from both.
+    given. The skill decides how actions move the arm and when the object is reached, lifted or
+    lost. The library calls the two parts, and here what follows from both.
 
     Example:
         >>> Task(asked=AskObject(objects=3), skill=Lift()).name  # doctest: +SKIP

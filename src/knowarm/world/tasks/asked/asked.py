@@ -1,4 +1,4 @@
-"""Asking: the objects of an episode, which of them is meant, and what a policy is told of it."""
+"""Asking: the objects of an episode, which of them is meant, and what a policy is given."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

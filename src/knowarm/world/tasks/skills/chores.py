@@ -49,7 +49,7 @@ class Chores(Protocol):
 
     Attributes:
         relation: of the graph that says where objects belong.
-        told: what an agent is told of the scenes, (n, K) names: the ``places`` and their
+        told: what an agent is given about the scenes, (n, K) names: the ``places`` and their
             ``marks``.
         spots: where objects are put down, x and y of each place, (K, 2) [m].
         guide: solves the way of one object to its spot and back.
@@ -61,19 +61,19 @@ class Chores(Protocol):
     guide: Guide
 
     def seen(self, images: Images) -> Integers:
-        """Return the number of the place of each mark that is told, (n, K), by the images."""
+        """Return the number of the place of each given mark, (n, K), by the images."""
 
     def belongs(self, graph: KnowledgeGraph | None, objects: Integers) -> Mask:
-        """Return at which of the places that are told objects belong, (n, m, K)."""
+        """Return at which of the given places objects belong, (n, m, K)."""
 
     def fits(self) -> Mask:
         """Return in which scenes one object belongs at each place, and others at none, (n,)."""
 
     def judge(self, graph: KnowledgeGraph) -> Tidied:
-        """Tell how the scenes stand, by where a graph says that objects belong."""
+        """Compare how the scenes stand with where a graph says that objects belong."""
 
     def instruct(self, scene: int) -> str:
-        """Return what is told of a scene in words, as "the red tray is the kitchen"."""
+        """Return what is given about a scene in words, as "the red tray is the kitchen"."""
 
 
 def only(belongs: Mask, numbers: Integers) -> Integers:

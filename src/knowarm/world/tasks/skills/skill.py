@@ -130,7 +130,7 @@ class Skill(BaseTaskPart):
         """Paint what else it puts into the scene, in the colours of geoms, (k, G, 4) in 0..1."""
 
     def facts(self, state: EpisodeState, asked: Asking) -> NamedArrays:
-        """Return what an agent is told of each episode besides what is asked, (n, ...)."""
+        """Return what an agent is given about each episode besides what is asked, (n, ...)."""
         return {}
 
     def instruct(self, state: EpisodeState, asked: Asking, env_id: int) -> str:

@@ -43,7 +43,7 @@ from knowarm.world.tasks.skills.sort.looking import trays_by_colour
 from knowarm.world.tasks.state import NamedArrays
 
 TRAY_COLOURS = ("red", "yellow", "green", "cyan", "blue", "pink")
-"""Colours of trays: far apart, so that they are told apart in any light."""
+"""Colours of trays: far apart, so that they differ in any light."""
 NAMES = np.array(TRAY_COLOURS)
 TRAY_RGB = np.array([COLOURS[name] for name in TRAY_COLOURS])
 MAX_TRAYS = 4
@@ -101,7 +101,7 @@ class SortChores(Chores):
         """See `Chores.judge`."""
         state = self._state
         count = len(self._centres)
-        # What is told is in the order of the places.
+        # What is given is in the order of the places.
         numbers = np.argsort(state.memory["tray_places"][:, :count], axis=1)
         stands = []
         moved = []
@@ -139,7 +139,7 @@ class Sort(Place):
     """Put the object that is meant on the tray of the place where it belongs.
 
     Each of the robot's ``trays_m`` has a colour and stands for a place, both drawn; which colour is
-    which place is told, and where the object belongs follows from the graph that answers the
+    which place is given, and where the object belongs follows from the graph that answers the
     questions. The object belongs at exactly one of an episode's places; a ``destination`` that the
     question names is any of these.
     """
@@ -161,13 +161,13 @@ class Sort(Place):
     """Relation of the graph whose values are the places where objects belong."""
     destination: Literal["graph", "place", "colour"] = "graph"
     """What says where the object has to be put: the "graph", where it belongs; or the question, by
-    the "place" or the "colour" of a tray that is drawn, which is told."""
+    the "place" or the "colour" of a tray that is drawn, which is given."""
 
     def training(self, algorithm: str, asked: Asking) -> Mapping[str, Any]:
         """Refuse all algorithms that train a policy, which would not know the right tray."""
         if algorithm not in WITHOUT_POLICY:
             raise UserError(
-                "Policies are not told which tray is which place, so they cannot learn to sort. "
+                "Policies are not given which tray is which place, so they cannot learn to sort. "
                 f"Take the algorithm {', '.join(WITHOUT_POLICY)!r} in place of {algorithm!r}."
             )
         return {}
@@ -298,7 +298,7 @@ class Sort(Place):
         """Read the trays' colours; choose that of a place where the object that is seen belongs.
 
         Where the graph says of none of the places, or of several, that it belongs there, it is the
-        first of these trays in the robot's order. A destination that is told counts instead.
+        first of these trays in the robot's order. A destination that is given counts instead.
         """
         places = facts["tray_places"]
         centres = self.tray_centres(scene.robot)
