@@ -184,8 +184,8 @@ def _check_range(value: Any, ends: tuple[float, float], path: str) -> None:
         allowed = f"at least {least:g}"
     else:
         allowed = f"0, or at least {LEAST:g} in size"
-    given = f"{value}" if abs(value) < LARGEST_SHOWN else "a larger number"
-    raise UserError(f"{path} must be {allowed}, got {given}.")
+    shown_value = f"{value}" if abs(value) < LARGEST_SHOWN else "a larger number"
+    raise UserError(f"{path} must be {allowed}, got {shown_value}.")
 
 
 @cache

@@ -169,8 +169,8 @@ class QuestionTable:
         """
         satisfies = self.satisfies[query]
         related = self.related[target]
-        own = self.objects[target]
-        return _distractors(satisfies, related, self.shown, self.objects, own)
+        target_object = self.objects[target]
+        return _distractors(satisfies, related, self.shown, self.objects, target_object)
 
     def check_objects(self, count: int) -> None:
         """Check that every question has enough distractors for ``count`` objects per episode."""

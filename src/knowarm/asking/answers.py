@@ -107,13 +107,13 @@ class Answers:
         """Return the answers among what stands at places of a scene, if places decide."""
         if not self.has_places:
             return self
-        shown: list[Individual] = []  # what each of them is seen beside
+        neighbours: list[Individual] = []  # what they are seen beside
         placed: dict[ObjectColour, list[Individual]] = {}
         for facet, place in scene.items():
             placed[facet] = []
             for individual in self.individuals[facet]:
-                placed[facet].append(replace(individual, place=place, scene=shown))
-            shown += placed[facet]
+                placed[facet].append(replace(individual, place=place, scene=neighbours))
+            neighbours += placed[facet]
         return replace(self, judgements=_answering(self.part, placed))
 
 

@@ -477,8 +477,8 @@ class QuestionReader:
 
 def _evidence(facts: Iterator[Judgement]) -> Judgement | None:
     """Return the most probable fact with the probability that one of all holds, None without."""
-    told = list(facts)
-    if not told:
+    judgements = list(facts)
+    if not judgements:
         return None
-    is_false = prod(1 - fact.probability for fact in told)
-    return replace(surest(told), probability=1 - is_false)
+    is_false = prod(1 - fact.probability for fact in judgements)
+    return replace(surest(judgements), probability=1 - is_false)

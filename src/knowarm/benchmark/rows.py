@@ -310,9 +310,11 @@ def query_gain(suite: Suite, row: Row, names: Sequence[str]) -> Interval | None:
         first = row["cells"][name]["outcomes"][0]
         if "right" not in first.get("shuffled query", {}):
             return None
-        other = _decoded(suite, row, name, "shuffled query", "right")
-        own = _decoded(suite, row, name, "policy", "right")[:, : other.shape[1]]
-        by_cell.append(own.astype(float) - other)  # -1, 0 or 1 per choice
+        with_other_query = _decoded(suite, row, name, "shuffled query", "right")
+        with_query = _decoded(suite, row, name, "policy", "right")
+        with_query = with_query[:, : with_other_query.shape[1]]
+        # -1, 0 or 1 per choice
+        by_cell.append(with_query.astype(float) - with_other_query)
     gains = np.concatenate(by_cell, axis=1)
     means = gains.mean(axis=1)
     return bootstrap(means if np.ptp(means) else gains[0], repetitions=2_000)

@@ -293,18 +293,20 @@ def controls_of(subject: str, role: Role) -> list[str]:
 
     def matches(control: Agent) -> bool:
         policy = replace(control.policy, wide=False)
-        own: Any = agent.knows
-        other: Any = control.knows
-        if policy != agent.policy or own.kind != other.kind:
+        knows: Any = agent.knows
+        control_knows: Any = control.knows
+        if policy != agent.policy or knows.kind != control_knows.kind:
             return False
         fields = ["detail", "dim", "grounding"]
         if role == "content_control":
-            if replace(other, source=own.source) == own:
+            if replace(control_knows, source=knows.source) == knows:
                 return True
-            if not other.source.content_free or own.slot_norm is None:
+            if not control_knows.source.content_free or knows.slot_norm is None:
                 return False
             fields.append("slot_norm")
-        return all(getattr(other, name) == getattr(own, name) for name in fields)
+        return all(
+            getattr(control_knows, name) == getattr(knows, name) for name in fields
+        )
 
     return [
         name for name, other in AGENTS.items() if other.role == role and matches(other)

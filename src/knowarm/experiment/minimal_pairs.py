@@ -149,20 +149,20 @@ def check_pairs(subject: Any) -> None:
         )
 
 
-def by_episode(agent: Any, told: Sequence[Any]) -> InformedAgent:
-    """Return an agent that is told a row, (D,), for each of some episodes, played in order."""
-    last = len(told) - 1
+def by_episode(agent: Any, knowledge: Sequence[Any]) -> InformedAgent:
+    """Return an agent that is given a row, (D,), for each of some episodes, played in order."""
+    last = len(knowledge) - 1
     numbers = chain(range(last), repeat(last))  # `play` repeats the last one
 
     def number(batch: Batch) -> Batch:
-        own = np.fromiter(islice(numbers, batch.size), np.int64)
-        return replace(batch, own_rows=own)
+        rows = np.fromiter(islice(numbers, batch.size), np.int64)
+        return replace(batch, own_rows=rows)
 
-    return InformedAgent(agent.telling(told), number)
+    return InformedAgent(agent.telling(knowledge), number)
 
 
 def told_questions(agent: Any, env: ArmVectorEnv, questions: Names) -> InformedAgent:
-    """Return an agent that is told other questions of some episodes (n,), played in order."""
+    """Return an agent that is given other questions in some episodes (n,), played in order."""
     rows = Batch(env=env.config, names=questions).rows
     return by_episode(agent, agent.told[rows])
 

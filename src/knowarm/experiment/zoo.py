@@ -63,6 +63,6 @@ def is_packaged(folder: Path) -> bool:
 
 def shipped_name(path: Path | str) -> str | None:
     """Return NAME of ``zoo/NAME``; None for other paths, and where that is a folder here."""
-    given = Path(path)
-    is_shipped = given.parent == Path("zoo") and not given.exists()
-    return given.name if is_shipped else None
+    folder = Path(path)
+    is_shipped = folder.parent == Path("zoo") and not folder.exists()
+    return folder.name if is_shipped else None

@@ -352,11 +352,11 @@ def _vectors(
 
 def _centre(lookup: VectorLookup, parts: Sentence) -> Vectors:
     """Return the mean vector of labels, (D,) float64; labels that are not found are skipped."""
-    found = [Found(np.empty((0, lookup.dim), np.float32), np.empty(0))]
-    for part in parts:
+    vectors = [Found(np.empty((0, lookup.dim), np.float32), np.empty(0))]
+    for label in parts:
         with suppress(UserError):
-            found.append(lookup.find(part, Coverage()))
-    return _pool(found, "mean", 0)
+            vectors.append(lookup.find(label, Coverage()))
+    return _pool(vectors, "mean", 0)
 
 
 def _pool(found: Sequence[Found], pooling: Pooling, centre: Vectors | float) -> Vectors:

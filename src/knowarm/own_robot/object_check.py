@@ -97,21 +97,24 @@ def _check_oracle(config: EnvConfig, area: str) -> Check:
 def _check_images(scene: Scene, config: EnvConfig, signs: Floats) -> Iterator[Check]:
     """Check that every object is seen, and any two, and any two of its colours, differ."""
     images = SceneImages(scene, place_targets(scene, scene.home, signs), config)
-    parts: dict[str, list[int]] = {}
+    targets_by_object: dict[str, list[int]] = {}
     for k, target in enumerate(scene.targets):
-        parts.setdefault(object_of(target.name), []).append(k)
-    shown: dict[tuple[str, str], Images] = {}  # Of an object alone in a colour
-    for name, targets in parts.items():
+        targets_by_object.setdefault(object_of(target.name), []).append(k)
+    # Of an object alone in a colour
+    images_by_facet: dict[tuple[str, str], Images] = {}
+    for name, targets in targets_by_object.items():
         names = scene.colour_names[targets[0]]
         for i, colour in enumerate(names):
-            shown[name, colour] = images.targets(targets, i)
-        drawn = np.stack([shown[name, colour] for colour in names])
+            images_by_facet[name, colour] = images.targets(targets, i)
+        drawn = np.stack([images_by_facet[name, colour] for colour in names])
         remedy = "enlarge the object or move the camera nearer."
         yield check_visible(name, drawn, images.empty, remedy)
     objects = []
     colours = []
-    for (one, colour), (other, changed) in combinations(shown, 2):
-        change = different_pixels(shown[one, colour], shown[other, changed])
+    for (one, colour), (other, changed) in combinations(images_by_facet, 2):
+        change = different_pixels(
+            images_by_facet[one, colour], images_by_facet[other, changed]
+        )
         pixels = float(np.median(change))
         if colour == changed:
             objects.append((pixels, f"{one} and {other} of one colour"))

@@ -33,9 +33,9 @@ class SceneImages:
 
     def targets(self, targets: Sequence[int], colour: int = 0) -> Images:
         """Draw some of the targets, by index, each in its colour of an index."""
-        shown = np.tile(targets, (self._simulation.num_envs, 1))
+        visible = np.tile(targets, (self._simulation.num_envs, 1))
         paint = TargetColours(self._scene)
-        return self._draw(paint(shown, np.full_like(shown, colour)))
+        return self._draw(paint(visible, np.full_like(visible, colour)))
 
     def robot_pixels(self) -> Integers:
         """Count the pixels that show the robot, (n,)."""

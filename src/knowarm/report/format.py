@@ -177,9 +177,9 @@ def palette(names: Iterable[tuple[str, str]]) -> dict[str, str]:
         colour = AGENTS[agent].colour if agent in AGENTS else None
         taken = chosen.values()
         if not colour or colour in taken:
-            again = SPARE_COLOURS[len(chosen) % len(SPARE_COLOURS)]
+            repeated = SPARE_COLOURS[len(chosen) % len(SPARE_COLOURS)]
             free = (spare for spare in SPARE_COLOURS if spare not in taken)
-            colour = next(free, again)
+            colour = next(free, repeated)
         chosen[name] = colour
     return chosen
 
@@ -188,7 +188,7 @@ def differing(settings: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return the names whose values are not the same everywhere; a missing one counts as None."""
     different = []
     for name in sorted(set[str]().union(*settings)):
-        values = {json.dumps(each.get(name), sort_keys=True) for each in settings}
+        values = {json.dumps(setting.get(name), sort_keys=True) for setting in settings}
         if len(values) > 1:
             different.append(name)
     return different

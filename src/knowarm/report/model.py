@@ -44,7 +44,11 @@ class Evaluation:
     @cached_property
     def policy_rules(self) -> str:
         """The rules of the same evaluation with the policy, where it `is_solved` without."""
-        test = [each for each in self.summary.config.test if each != SeenTest()]
+        test = [
+            condition
+            for condition in self.summary.config.test
+            if condition != SeenTest()
+        ]
         return self._rules(replace(self.summary.config, test=tuple(test)))
 
     @property

@@ -127,5 +127,5 @@ def has_axioms(graph: KnowledgeGraph) -> bool:
     """Return whether a graph states anything from which facts follow."""
     relations = map(WORDS.__getitem__, _AXIOMS.split())
     classes = map(WORDS.__getitem__, _AXIOM_CLASSES.split())
-    found = graph.relation_names.find_all(relations) + graph.names.find_all(classes)
-    return bool(found)
+    terms = graph.relation_names.find_all(relations) + graph.names.find_all(classes)
+    return bool(terms)

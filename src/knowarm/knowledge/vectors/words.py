@@ -385,8 +385,8 @@ def _word_aliases(aliases: Mapping[str, str]) -> dict[str, list[str]]:
 def _stems(word: str) -> Iterator[str]:
     """Yield the singular of a word, then its lemmas."""
     for plural, singular in _SINGULARS:
-        stem, found = re.subn(plural, singular, word)
-        if found:
+        stem, replacements = re.subn(plural, singular, word)
+        if replacements:
             yield stem
     for ending in ("ing", "ed", "er", "est", "ly"):
         stem = word.removesuffix(ending)

@@ -119,14 +119,14 @@ def _first_of_each_target(
     first = {}
     for number in reversed(numbers):
         first[episodes["target"][number]] = number
-    shown = []
+    described = []
     for number in sorted(first.values())[:MOST_EPISODES]:
         words = facet(str(episodes["facet"][number]))
         if "query" in episodes:
             query = query_words(str(episodes["query"][number]))
             words = f"asked for \u201c{query}\u201d ({words})"
-        shown.append((number, words))
-    return shown
+        described.append((number, words))
+    return described
 
 
 def query_words(text: str) -> str:

@@ -36,10 +36,12 @@ def tested_findings(task: TaskData, decided: Claims) -> list[Finding]:
     """Return the findings on all outcomes; of others than success only those with a test."""
     tested = []
     for outcome in OUTCOMES:
-        found = findings(task, decided, outcome)
+        of_outcome = findings(task, decided, outcome)
         if outcome != "success":
-            found = [finding for finding in found if finding.kind not in UNTESTED]
-        tested += found
+            of_outcome = [
+                finding for finding in of_outcome if finding.kind not in UNTESTED
+            ]
+        tested += of_outcome
     return tested
 
 

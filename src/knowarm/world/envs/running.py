@@ -237,14 +237,14 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
                 f"options['episodes'] holds {len(episodes)} episodes for {count} environments "
                 "that are reset; pass one per environment."
             )
-        for what, theirs, own in (
+        for what, theirs, ours in (
             ("joints", episodes.joint_offsets, self.joint_targets),
             ("objects", episodes.objects, self.objects),
             ("draws of visual randomization", episodes.look, self.look),
             ("draws of the skill", episodes.surroundings, self._surroundings),
         ):
             got = theirs.shape[1]
-            expected = own.shape[1]
+            expected = ours.shape[1]
             if got != expected:
                 raise UserError(
                     f"The episodes hold {got} {what}, and this environment has {expected}; draw "
@@ -307,15 +307,17 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
         places = self.positions[ids, 0]
         position, matrix = self.goal_frames(objects[:, 0], places)
         self._write(ids, goal_position=position, goal_matrix=matrix)
-        shown = self._appearance(objects, self.colours[ids], places, self.look[ids])
-        self.task.skill.paint(self, ids, shown.rgba)
+        appearance = self._appearance(
+            objects, self.colours[ids], places, self.look[ids]
+        )
+        self.task.skill.paint(self, ids, appearance.rgba)
         if len(ids) == self.num_envs:
-            self.shown = shown
+            self.shown = appearance
         else:
-            pairs = zip(self.shown, shown, strict=True)
+            pairs = zip(self.shown, appearance, strict=True)
             merged = [_put(old, ids, new) for old, new in pairs]
             self.shown = Shown(*merged)
-        return shown.distractor_position
+        return appearance.distractor_position
 
     def _write(self, ids: Indices, **rows: Any) -> None:
         """Replace arrays by copies with new values (k, ...) in the rows of environments (k,)."""

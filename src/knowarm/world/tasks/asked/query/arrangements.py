@@ -235,9 +235,9 @@ def _own_queries(table: QuestionTable, sets: Integers) -> Mask:
 def _ask_each(table: QuestionTable, sets: Integers, generator: Generator) -> ObjectSets:
     """Give every object of every set a query, with rare queries preferred."""
     n, m = sets.shape
-    own = _own_queries(table, sets).reshape(n * m, -1)
-    weights = 1.0 / np.maximum(1, own.sum(axis=0))
-    query = _pick(own, weights, generator)
+    possible = _own_queries(table, sets).reshape(n * m, -1)
+    weights = 1.0 / np.maximum(1, possible.sum(axis=0))
+    query = _pick(possible, weights, generator)
     facets = np.repeat(sets, m, axis=0)
     goal = np.tile(np.arange(m), n)
     return ObjectSets(query, facets, goal, balanced=True)

@@ -39,14 +39,14 @@ def trays_by_colour(
     names = list(COLOURS)
     directions = np.array(list(COLOURS.values()))
     directions /= norm(directions, axis=1, keepdims=True)
-    found = np.zeros(colours.shape, np.int64)
+    tray_of_colour = np.zeros(colours.shape, np.int64)
     for episode, of_episode in enumerate(colours):
         numbers = [names.index(name) for name in of_episode]
         likeness = seen[episode] @ directions[numbers].T
         # A pixel of an object before the tray counts for one tray only.
         score = (likeness == likeness.max(axis=2, keepdims=True)).mean(axis=1)
-        _, found[episode] = linear_sum_assignment(-score.T)
-    return found
+        _, tray_of_colour[episode] = linear_sum_assignment(-score.T)
+    return tray_of_colour
 
 
 def _pixels(scene: Scene, centres: Floats, image_size: int) -> Integers:
