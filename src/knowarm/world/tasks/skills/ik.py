@@ -150,6 +150,8 @@ class InverseKinematics:
         matrix = np.tile(matrix, copies)
         start = np.tile(start, copies)
         simulation = MujocoSimulator(self.scene, len(q))
+        # What is bound after a call holds zeros until the next one.
+        contacts = simulation.batch.bind("ncon").reshape(len(q))
         self._improve(simulation, q, position, matrix)
         q = self._unwind(q, start)
         simulation.set_joints(q)
@@ -161,7 +163,7 @@ class InverseKinematics:
             self._ignore_roll,
         )
         change = np.abs(q - start).max(axis=1)
-        touches = simulation.batch.bind("ncon").reshape(len(q)) > 0
+        touches = contacts > 0
         tilted = (angle - self._eased_deg).clip(min=0.0) / REACHED_DEG
         missed = (distance / REACHED_M + tilted).clip(min=1.0)
         # Smallest change first, then solutions in contact, then poses that are not reached.
