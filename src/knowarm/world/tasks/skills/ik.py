@@ -5,10 +5,9 @@ from typing import Any, Self
 
 import numpy as np
 from mujoco import mjtJoint
-from numpy.linalg import norm
 
 from knowarm.arrays import Floats, Mask
-from knowarm.world.backend import MujocoSimulator
+from knowarm.world.backend import Dynamics, MujocoSimulator
 from knowarm.world.scene.compose import ROBOT_PREFIX
 from knowarm.world.scene.scene import Scene
 from knowarm.world.tasks.reward import SUCCESS_ANGLE_DEG, measure
@@ -16,9 +15,11 @@ from knowarm.world.tasks.state import EpisodeState, Frames
 
 ITERATIONS = 80
 DAMPING = 0.05
+DAMPED = DAMPING**2 * np.eye(6)
 MAX_STEP_RAD = 0.3
 SETTLED_RAD = 1e-5  # A step below which the iterations of a pose end
 ATTEMPTS = 6  # Sets of random starts tried for poses that are not reached
+FEW_POSES = 64  # Poses for which one thread is faster than a pool of them
 ROTATION_WEIGHT = 0.05
 """Weight of the direction beside the position where the roll is ignored [m/rad]."""
 
@@ -27,6 +28,10 @@ REACHED_DEG = 3.0
 """Errors below which a pose counts as reached; far below the task's thresholds."""
 # Distance of an easier orientation from its threshold [deg]
 MARGIN_DEG = REACHED_DEG + 2.0
+
+# Axes after x, y and z, and those after these
+FOLLOWING = np.array([1, 2, 0])
+LAST = np.array([2, 0, 1])
 
 
 @dataclass(frozen=True)
@@ -71,10 +76,10 @@ class InverseKinematics:
         self._eased_deg = eased_deg
         self.reached_deg = REACHED_DEG + eased_deg
         model = scene.model
-        self._joints = [
-            model.joint(ROBOT_PREFIX + name).id for name in scene.robot.joints
-        ]
+        joints = [model.joint(ROBOT_PREFIX + name).id for name in scene.robot.joints]
+        self._joints = np.array(joints)
         self._is_hinge = model.jnt_type[self._joints] == mjtJoint.mjJNT_HINGE
+        self._kept: dict[Dynamics, MujocoSimulator] = {}
 
     @classmethod
     def of_task(cls, scene: Scene, state: EpisodeState, **options: Any) -> Self:
@@ -127,9 +132,18 @@ class InverseKinematics:
 
     def pose(self, joints: Floats) -> Frames:
         """Compute positions (n, 3) [m] and row-major rotations (n, 9) at joint angles (n, J)."""
-        simulation = MujocoSimulator(self.scene, len(joints))
-        simulation.set_joints(joints)
-        return simulation.tcp_position.copy(), simulation.tcp_matrix.copy()
+        n = len(joints)
+        simulation = self._simulator(n, "kinematic")
+        simulation.set_joints(joints, np.arange(n))
+        return simulation.tcp_position[:n].copy(), simulation.tcp_matrix[:n].copy()
+
+    def _simulator(self, n: int, dynamics: Dynamics) -> MujocoSimulator:
+        """Return n simulations or more, which are kept where they are few."""
+        if n > FEW_POSES:
+            return MujocoSimulator(self.scene, n, dynamics=dynamics)
+        if dynamics not in self._kept:
+            self._kept[dynamics] = MujocoSimulator(self.scene, FEW_POSES, 1, dynamics)
+        return self._kept[dynamics]
 
     def _solve_once(
         self, position: Floats, matrix: Floats, start: Floats, seed: int
@@ -149,21 +163,22 @@ class InverseKinematics:
         position = np.tile(position, copies)
         matrix = np.tile(matrix, copies)
         start = np.tile(start, copies)
-        simulation = MujocoSimulator(self.scene, len(q))
-        # What is bound after a call holds zeros until the next one.
-        contacts = simulation.batch.bind("ncon").reshape(len(q))
-        self._improve(simulation, q, position, matrix)
+        self._improve(q, position, matrix)
         q = self._unwind(q, start)
-        simulation.set_joints(q)
+        count = len(q)
+        simulation = self._simulator(count, "dynamic")
+        # Bound before the call: what is bound after one holds zeros until the next.
+        contacts = simulation.batch.bind("ncon").reshape(-1)
+        simulation.set_joints(q, np.arange(count))
         distance, angle = measure(
-            simulation.tcp_position,
-            simulation.tcp_matrix,
+            simulation.tcp_position[:count],
+            simulation.tcp_matrix[:count],
             position,
             matrix,
             self._ignore_roll,
         )
         change = np.abs(q - start).max(axis=1)
-        touches = contacts > 0
+        touches = contacts[:count] > 0
         tilted = (angle - self._eased_deg).clip(min=0.0) / REACHED_DEG
         missed = (distance / REACHED_M + tilted).clip(min=1.0)
         # Smallest change first, then solutions in contact, then poses that are not reached.
@@ -171,10 +186,9 @@ class InverseKinematics:
         best = cost.reshape(self._starts, n).argmin(axis=0) * n + np.arange(n)
         return IKSolution(q[best], distance[best], angle[best], touches[best])
 
-    def _improve(
-        self, simulation: MujocoSimulator, q: Floats, position: Floats, matrix: Floats
-    ) -> None:
+    def _improve(self, q: Floats, position: Floats, matrix: Floats) -> None:
         """Iterate joint angles (n, J) in place until each has settled."""
+        simulation = self._simulator(len(q), "kinematic")
         anchors = simulation.batch.bind("xanchor")
         axes = simulation.batch.bind("xaxis")
         active = np.arange(len(q))
@@ -191,7 +205,7 @@ class InverseKinematics:
             if self._ignore_roll:
                 error, jacobian = _without_roll(error, jacobian, goal)
             transposed = jacobian.transpose(0, 2, 1)
-            damped = jacobian @ transposed + DAMPING**2 * np.eye(6)
+            damped = jacobian @ transposed + DAMPED
             step = (transposed @ np.linalg.solve(damped, error[..., None]))[..., 0]
             new = old + step.clip(-MAX_STEP_RAD, MAX_STEP_RAD)
             new = new.clip(self.scene.joint_lower, self.scene.joint_upper)
@@ -203,12 +217,8 @@ class InverseKinematics:
     def _jacobian(self, tcp: Floats, anchors: Floats, axes: Floats) -> Floats:
         """Return the Jacobians of the gripper (n, 6, J) from anchors and axes (n, J, 3)."""
         arm = tcp[:, None] - anchors
-        following = [1, 2, 0]
-        last = [2, 0, 1]
-        turning = (
-            axes[..., following] * arm[..., last]
-            - axes[..., last] * arm[..., following]
-        )
+        turning = axes.take(FOLLOWING, -1) * arm.take(LAST, -1)
+        turning -= axes.take(LAST, -1) * arm.take(FOLLOWING, -1)
         is_hinge = self._is_hinge[:, None]
         moving = np.where(is_hinge, turning, axes)
         rotating = np.where(is_hinge, axes, 0.0)
@@ -242,8 +252,8 @@ def _pose_error(
     """Return position error [m] and rotation vector [rad] to the desired pose, (n, 6), world."""
     n = len(position)
     turn = matrix.reshape(n, 3, 3) @ tcp_matrix.reshape(n, 3, 3).transpose(0, 2, 1)
-    skew = turn[:, [2, 0, 1], [1, 2, 0]] - turn[:, [1, 2, 0], [2, 0, 1]]
-    sine = norm(skew, axis=1, keepdims=True)
+    skew = turn[:, LAST, FOLLOWING] - turn[:, FOLLOWING, LAST]
+    sine = np.sqrt((skew * skew).sum(axis=1, keepdims=True))
     cosine = np.trace(turn, axis1=1, axis2=2)[:, None] - 1.0
     # At half a turn the skew part does not define the axis; any axis makes progress.
     axis = np.where(sine > 1e-9, skew / np.maximum(sine, 1e-9), [1.0, 0.0, 0.0])
