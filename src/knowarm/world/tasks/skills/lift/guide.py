@@ -9,7 +9,12 @@ import numpy as np
 from knowarm.arrays import Floats, Indices, Mask
 from knowarm.world.scene.scene import build_scene
 from knowarm.world.tasks.skills.guides import Guide, Sight, Way
-from knowarm.world.tasks.skills.ik import REACHED_DEG, REACHED_M, InverseKinematics
+from knowarm.world.tasks.skills.ik import (
+    FEW_POSES,
+    REACHED_DEG,
+    REACHED_M,
+    InverseKinematics,
+)
 from knowarm.world.tasks.skills.lift.model import LiftScene
 from knowarm.world.tasks.skills.lift.simulator import LiftSimulator
 from knowarm.world.tasks.state import places_of_all
@@ -267,7 +272,8 @@ class Surroundings:
 
     def __init__(self, scene: LiftScene, sight: Sight) -> None:
         n = len(sight.objects)
-        simulator = LiftSimulator(scene, n)
+        threads = 1 if n <= FEW_POSES else 0
+        simulator = LiftSimulator(scene, n, threads)
         margin = simulator.batch.expand("geom_margin").reshape(n, -1)
         is_object = scene.geom_target >= 0
         margin[is_object & (scene.geom_target != sight.objects[:, :1])] = CLEARANCE_M

@@ -52,12 +52,15 @@ class PlaceGuide(LiftGuide):
         lower = np.zeros((n, len(LOWER), grasp.shape[1]))
         is_free = np.zeros(n, bool)
         is_first = True
+        rises: dict[float, Floats] = {}
         for ranked, height in product(np.argsort(cost, axis=0), CARRY_M):
             ids = np.flatnonzero(~is_free)
             if not len(ids):
                 break
+            if height not in rises:  # The same for every turn
+                rises[height] = self._vertical(*start, grasp, height * RISE)
             turn = (ranked[ids], ids)
-            up = self._vertical(start[0][ids], start[1][ids], grasp[ids], height * RISE)
+            up = rises[height][ids]
             down = self._vertical(
                 position[turn], matrix[turn], joints[turn], height * LOWER
             )[:, ::-1]
