@@ -20,6 +20,7 @@ from knowarm.experiment.summary import Summary, read_table
 from knowarm.statistics import (
     Interval,
     bootstrap,
+    crossed_bootstrap,
     holm,
     mean_of_runs,
     paired,
@@ -85,6 +86,15 @@ class Run:
             return None
         values = found[outcome][counts]
         return wilson(int(values.sum()), len(values))
+
+    def moves(self) -> np.ndarray:
+        """Return of every pair, (n,): 1 moved by the deciding edit, -1 by the placebo, else 0."""
+        new = self.columns["new_answer"]
+        deciding, placebo = (
+            (self.columns[f"chosen_{name}"] == new).astype(float)
+            for name in ("deciding", "placebo")
+        )
+        return deciding - placebo
 
     def moved(self) -> Interval:
         """Return the flips less the share that ends there after the placebo edit."""
@@ -234,13 +244,24 @@ def verdicts(arms: Arms, seeds: Mapping[tuple[str, str], set[int]]) -> list[str]
     for key, of_zero, p in zip(seeds, compared, adjusted.tolist(), strict=True):
         false = _values(arms[key], "false_flips")
         apart = bootstrap(_values(arms[key], "flips") - false)
-        acts = of_zero.difference.low > 0 and p < 0.05 and apart.low > 0
+        both = over_seeds_and_facts(arms[key])
+        is_moved = of_zero.difference.low > 0 and p < 0.05 and both.low > 0
+        acts = is_moved and apart.low > 0
         verdict = "acts on the fact" if acts else "is not shown to act on the fact"
         lines.append(
             f"- {name_of(*key)} {verdict}: moved by {percent(of_zero.difference)} points (p "
-            f"{p:.3f}), flips {percent(apart)} points above its false flips."
+            f"{p:.3f}; over seeds and facts {percent(both)}), flips {percent(apart)} points above "
+            "its false flips."
         )
     return lines
+
+
+def over_seeds_and_facts(runs: Sequence[Run]) -> Interval:
+    """Return `Run.moved` with an interval over training seeds and the edited facts at once."""
+    moves = np.concatenate([run.moves() for run in runs])
+    facts = np.concatenate([run.columns["fact"] for run in runs])
+    seeds = np.repeat([run.seed for run in runs], [len(run.moves()) for run in runs])
+    return crossed_bootstrap(moves, seeds, facts)
 
 
 def _values(runs: Sequence[Run], outcome: str) -> np.ndarray:

@@ -143,6 +143,7 @@ def arm(experiment, seeds, flips, false_flips, pairs=40, to="d"):
         texts["chosen_deciding"][rng.random(pairs) < flips] = "b"
         texts["chosen_placebo"][rng.random(pairs) < false_flips] = to
         texts["episode"] = np.arange(pairs).astype(str)
+        texts["fact"] = texts["episode"]
         runs.append(Run(experiment, "", seed, texts))
     return runs
 
@@ -180,6 +181,18 @@ def test_an_arm_acts_if_the_deciding_edit_moves_it_and_the_placebo_does_not():
         "restless": "is not shown to act on",
         "deaf": "is not shown to act on",
     }
+
+
+def test_an_arm_moved_by_one_fact_of_many_is_not_shown_to_act():
+    arms = made_arms()
+    for run in arms["acts", ""]:
+        few = np.arange(40) < 24
+        run.columns["fact"][:] = np.where(few, "the fact", np.arange(40).astype(str))
+        run.columns["chosen_deciding"][:] = np.where(few, "b", "a")
+        run.columns["chosen_placebo"][:] = "a"
+    (line,) = (line for line in verdicts(arms, SEEDS) if "`acts`" in line)
+    assert "is not shown to act" in line
+    assert "over seeds and facts 60.0 [0.0, " in line
 
 
 def test_arms_whose_seeds_miss_are_said_to_be_begun_and_nothing_else():

@@ -7,6 +7,7 @@ from knowarm.statistics import (
     Interval,
     area_under_curve,
     bootstrap,
+    crossed_bootstrap,
     first_crossing,
     holm,
     iqm,
@@ -185,3 +186,35 @@ def test_few_runs_have_an_interval_as_wide_as_students_t_and_as_their_own():
     assert (equal.low, equal.high) == pytest.approx((0.85, 0.95))
     five = mean_of_runs([run(value, 0.5) for value in (0.1, 0.2, 0.3, 0.4, 0.5)])
     assert five == bootstrap(np.array([0.1, 0.2, 0.3, 0.4, 0.5]))
+
+
+def test_a_crossed_bootstrap_covers_the_truth_where_episodes_of_a_topic_are_alike():
+    generator = np.random.default_rng(3)
+    runs, topics = np.divmod(np.arange(10 * 20 * 4) // 4, 20)
+    crossed, over_runs = 0, 0
+    for _ in range(200):
+        of_topic, of_run = generator.normal(0, 1, 20), generator.normal(0, 0.3, 10)
+        scores = of_topic[topics] + of_run[runs] + generator.normal(0, 1, len(runs))
+        interval = crossed_bootstrap(scores, runs, topics, repetitions=400)
+        crossed += interval.low <= 0 <= interval.high
+        means = scores.reshape(10, -1).mean(axis=1)
+        blind = bootstrap(means, repetitions=400)
+        over_runs += blind.low <= 0 <= blind.high
+    assert 0.88 <= crossed / 200 <= 0.99
+    assert over_runs / 200 < 0.7
+
+
+def test_a_crossed_bootstrap_with_one_topic_is_that_over_runs():
+    generator = np.random.default_rng(4)
+    scores, runs = generator.random(12), np.arange(12)
+    crossed = crossed_bootstrap(scores, runs, ["mug"] * 12)
+    over_runs = bootstrap(scores)
+    ends = (over_runs.estimate, over_runs.low, over_runs.high)
+    assert (crossed.estimate, crossed.low, crossed.high) == pytest.approx(
+        ends, abs=0.01
+    )
+
+
+def test_resamples_without_episodes_are_left_out():
+    crossed = crossed_bootstrap(np.array([0.0, 1.0]), ["a", "b"], ["x", "y"])
+    assert (crossed.estimate, crossed.low, crossed.high) == (0.5, 0.0, 1.0)

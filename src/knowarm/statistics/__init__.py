@@ -2,6 +2,7 @@
 
 from knowarm.statistics.bootstrap import Interval as Interval
 from knowarm.statistics.bootstrap import bootstrap as bootstrap
+from knowarm.statistics.bootstrap import crossed_bootstrap as crossed_bootstrap
 from knowarm.statistics.bootstrap import iqm as iqm
 from knowarm.statistics.bootstrap import mean_band as mean_band
 from knowarm.statistics.bootstrap import mean_of_runs as mean_of_runs
