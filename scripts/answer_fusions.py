@@ -103,8 +103,8 @@ def fusions_section(
     table = "\n".join([lines[0], "|---" * len(columns) + "|", *lines[1:]])
     conclusions.append(blind_scores(blind))
     lead = (
-        f"**By no fusion does the arm choose right in more than {100 * max(best):.1f} % of the "
-        f"episodes, by a grounding network in {100 * grounded.scores('choice').mean():.1f} %.**"
+        f"**With no fusion does the arm choose right in more than {100 * max(best):.1f} % of the "
+        f"episodes, with a grounding network in {100 * grounded.scores('choice').mean():.1f} %.**"
     )
     return [
         "# Where the knowledge enters",

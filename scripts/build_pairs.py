@@ -53,17 +53,17 @@ TESTS = {
 PREFIX = "post-training-greedy-s1"
 """What names of all evaluations of the study begin with."""
 
-PROTOCOL = """**Protocol.** Every episode is played in five versions with the same image and
-question; the agent is told the true graph; a graph in which the fact that decides is another
+PROTOCOL = """**Protocol.** Every episode is played in five versions with the same image. The
+agent is given its question and the true graph; a graph in which the fact that decides is another
 visible object's (*flips*: it ends there); one in which a triple of the same relation and value
-moved between objects out of sight, of as similar degree as there are
+moved between objects out of sight, of degrees as similar as possible
 (*false flips*: it ends elsewhere than by the true graph); one without the fact (*stays*: no joint
 is ever moved); or the question of another visible object (*follows*: it ends there). *Moved*:
 flips, less the ends at the same object after the placebo edit [points]; 0 for an agent that does
 not read the fact, wherever it ends. *Acts*: right, flips, and is right after the placebo edit.
 *Shown* are facts on shape and parts, *not shown* those on use, material,
-place and content. Suite `choose-v1`, split S1, of which those episodes count whose question allows
-all edits; 5 cm and 15 degrees. Fixed before any run:
+place and content. Suite `choose-v1`, split S1, only episodes whose question allows all edits; 5 cm
+and 15 degrees. Fixed before any run:
 `src/knowarm/study/shipped/minimal-pairs.toml`. Data: `minimal-pairs.csv`."""
 
 

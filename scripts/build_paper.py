@@ -63,9 +63,9 @@ BLIND = ("open-loop", "frozen")
 HEAD = """<!-- Written by scripts/build_paper.py from the packs; do not edit. -->
 # The paper, reproduced"""
 
-LEAD = """**The paper's algorithm has not come to its end here: {state}. Nothing about the knowledge
-follows from them. By the fast learner, with five to ten seeds per agent, no sentence of the paper
-on learning time or final score is found.**"""
+LEAD = """**The paper's algorithm has not been trained to its end here: {state}. Nothing about the
+knowledge follows from them. With the fast learner and five to ten seeds per agent, no claim of the
+paper on learning time or final score is confirmed.**"""
 
 SENTENCES = """What the paper says of the knowledge (section), beside the runs of the [fast
 learner](answer.md); steps are those to 80 % success. Statements of method: [line by
