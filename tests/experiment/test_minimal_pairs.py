@@ -106,9 +106,15 @@ def chosen_at_once(agent, env, episodes):
     chosen = inner.choose(numbers, episodes.objects, episodes.colours)
     count = len(chosen)
     reached = episodes.objects[np.arange(count), chosen.clip(min=0)]
-    steps = SimpleNamespace(episode=np.arange(count), actions=(chosen >= 0)[:, None])
+    moves = np.zeros(
+        (count, 3, 2), bool
+    )  # one of two joints, in the second of three steps
+    moves[:, 1, 0] = chosen >= 0
+    steps = SimpleNamespace(
+        episode=np.arange(count).repeat(3), actions=moves.reshape(-1, 2)
+    )
     return SimpleNamespace(
-        infos={"reached_object": reached}, steps=steps, length=np.ones(count)
+        infos={"reached_object": reached}, steps=steps, length=np.full(count, 3)
     )
 
 
