@@ -131,26 +131,17 @@ def new_folder(folder: Path) -> Iterator[Path]:
 def refuse_links(folder: Path) -> None:
     """Refuse a folder with links that lead out of it: they would name files of the user.
 
-    Links from ``models--*/snapshots/*`` to ``../../blobs`` stay: there the cache of the Hugging
-    Face Hub keeps the files of the same repository.
+    Links to ``../../blobs`` stay in a folder ``models--*``: there the cache of the Hugging Face Hub
+    keeps the files of the same repository.
 
     Raises:
         UserError: it holds such a link, or a folder that cannot be listed.
     """
     root = Path(os.path.realpath(folder))
-    blobs = None
-    if root.match("models--*/snapshots/*"):
-        blobs = root.parent.parent / "blobs"
-
-    def refuse(error: OSError) -> None:
-        if not isinstance(
-            error, FileNotFoundError
-        ):  # a part of a file that was written
-            raise UserError(
-                f"Cannot read {error.filename}: {error.strerror}."
-            ) from error
-
-    for parent, folders, files in os.walk(folder, onerror=refuse):
+    blobs = root.parent.parent / "blobs"
+    if not blobs.match("models--*/blobs"):
+        blobs = root
+    for parent, folders, files in os.walk(folder, onerror=_refuse_unlisted):
         for name in (*folders, *files):
             path = Path(parent, name)
             if not path.is_symlink():
@@ -161,6 +152,13 @@ def refuse_links(folder: Path) -> None:
                     f"{path} is a link to {target}, outside of {folder}. Replace it by a copy, if "
                     "you trust where the folder comes from."
                 )
+
+
+def _refuse_unlisted(error: OSError) -> None:
+    """Refuse a folder that cannot be listed, unless it is one of a writer and gone again."""
+    if not isinstance(error, FileNotFoundError):
+        with reading(Path(error.filename), "Change its permissions."):
+            raise error
 
 
 def one_line(error: BaseException) -> str:

@@ -115,7 +115,6 @@ class PolicyServer:
             )
         self._make_runner = make_runner
         self._key = key
-        self._is_closed = False
         self._resize = resize
         self._seats = threading.BoundedSemaphore(MOST_CONNECTIONS)
         self._computing = threading.Lock()
@@ -143,7 +142,7 @@ class PolicyServer:
         try:
             self._start()
             self._accepting.join()
-            if not self._is_closed:
+            if self._server.socket.fileno() >= 0:
                 raise UserError(
                     f"The system stopped listening on port {self.port}: start again."
                 )
@@ -156,9 +155,7 @@ class PolicyServer:
         Any thread and signal handler may call it, before `run` as well, but no runner: it waits for
         all of them.
         """
-        if not self._accepting.ident:
-            self._server.socket.close()
-        self._is_closed = True
+        self._server.socket.close()
         self._start()  # `shutdown` waits for its end
         self._server.shutdown()
 

@@ -41,9 +41,9 @@ def push_to_hub(path: Path | str, repo_id: str, *, private: bool = False) -> str
         UserError: no such run or file, a link, no access, or no connection.
     """
     path = Path(path)
-    if path.is_symlink() and not path.is_dir():
-        raise UserError(f"{path} is a link to {path.resolve()}. Give the file itself.")
     if path.is_file() and path.suffix in FILES:
+        if path.is_symlink():
+            raise UserError(f"{path} is a link. Give the file itself.")
         text = f"`{path.name}` for KnowArm."
         files = [path]
     else:

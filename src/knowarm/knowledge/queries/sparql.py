@@ -83,7 +83,7 @@ class SparqlQuery:
     """
 
     def __init__(self, graph: KnowledgeGraph, query: str) -> None:
-        for match in _REMOTE.finditer(_keywords(query, "_", "<>")):
+        for match in _REMOTE.finditer(_keywords(query, "_")):
             if not match[1]:
                 raise UserError(
                     f"SPARQL query: {match[2].upper()} refers to other data, but a query reads the "
@@ -151,7 +151,7 @@ class SparqlQuery:
             return True
         if "\\" in self.query or "%" in self.query:  # other spellings of the name
             return True
-        return _ANY_RELATION.search(_keywords(self.query, " _ ", " _ ")) is not None
+        return _ANY_RELATION.search(_keywords(self.query, " _ ")) is not None
 
     def _run(self, name: Callable[[Any], str], about: str | None) -> Answer:
         """Run the query; ``name`` gives the terms their names."""
@@ -224,9 +224,9 @@ class SparqlQuery:
         )
 
 
-def _keywords(query: str, mark: str, iri: str) -> str:
-    """Return a query with a mark for strings, another one for IRIs, and without comments."""
-    marks = {"comment": " ", "iri": iri, None: mark}
+def _keywords(query: str, mark: str) -> str:
+    """Return a query with a mark for strings, ``<>`` for IRIs, and without comments."""
+    marks = {"comment": " ", "iri": " <> ", None: mark}
     return _QUIET_OR_IRI.sub(lambda token: marks[token.lastgroup], query)
 
 
