@@ -77,7 +77,7 @@ class Client:
     def _connect(self) -> ClientConnection:
         try:
             link = connect(self._url, compression=None, max_size=MOST_BYTES)
-            about = link.recv(METADATA_S)
+            about = contextlib.ExitStack().enter_context(link).recv(METADATA_S)
         except (OSError, WebSocketException, ValueError) as error:
             raise UserError(
                 f"No policy server answers at {self._url}: {error}."
