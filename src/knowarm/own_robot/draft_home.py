@@ -84,7 +84,7 @@ def find_homes(scene: Scene, layout: Layout) -> list[Home]:
         + 10.0 * (frame[:, 8] > 0.3)  # The gripper points upwards
         + 10.0 * (np.hypot(x, y) < 0.35 * reach)  # It is above the base,
         + 10.0 * (x < 0.2 * reach)  # or behind it
-        # A start from which the grasp has to be searched: neither given nor out of sight
+        # Turned away from the grasps, but near them in joints and space
         + 0.1 * np.maximum(NEAREST_DEG - nearest_deg, 0)
         + 0.1 * np.maximum(farthest_deg - FARTHEST_DEG, 0)
         + 10.0 * np.maximum(travel - TRAVEL_RAD, 0)
