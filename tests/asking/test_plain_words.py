@@ -419,8 +419,8 @@ def test_words_sparql_and_conditions_answer_alike():
     }
     facets = [(name, colour) for name in objects for colour in colours]
     answered = 0
-    for number in range(300):
-        if number % 30 == 0:
+    for number in range(150):
+        if number % 15 == 0:
             facts = [(o, "isMarked", "yes") for o in objects]
             facts += [
                 (o, r, v)
@@ -456,7 +456,7 @@ def test_words_sparql_and_conditions_answer_alike():
                 )
         assert len(answers) == 1, texts
         answered += answers != {"nobody"}
-    assert answered > 150
+    assert answered > 75
 
 
 NOUNS = ["mug", "bowl", "jar", "watering can", "lamp", "can", "pot"]
@@ -517,7 +517,7 @@ def random_phrase(random):
 def test_random_phrases_are_read_as_what_they_are_true_of_or_refused():
     random = np.random.default_rng(0)
     outcomes = Counter()
-    for number in range(140):
+    for number in range(70):
         frame = [*FRAMES][number % len(FRAMES)]
         (one, of_one), (other, of_other) = random_phrase(random), random_phrase(random)
         question = frame.format(one, other)
