@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 from knowarm.config import differences, flatten, to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.algorithms import algorithms
-from knowarm.experiment.config import INTERIM_SEED, ExperimentConfig, InterimConfig
+from knowarm.experiment.config import ExperimentConfig
+from knowarm.experiment.interim import interim_evaluation
 from knowarm.experiment.knows import Knowledge
 from knowarm.experiment.logs import RunLogs, TrainingProgress
 from knowarm.experiment.names import experiment_config, override_experiment
@@ -27,11 +28,7 @@ from knowarm.perception.grounding import GroundingNetwork
 from knowarm.perception.grounding_training import train_grounding
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
 from knowarm.reading import digest, write_json
-from knowarm.world.agents import AgentProtocol
-from knowarm.world.agents.play import EpisodeResults, play
-from knowarm.world.config import EnvConfig, facets_of, robot_of
-from knowarm.world.envs.episodes import evaluation_episodes
-from knowarm.world.envs.vector_env import ArmVectorEnv
+from knowarm.world.config import facets_of, robot_of
 from knowarm.world.tasks.state import ACTION_LEVELS
 
 BEFORE_FIRST_STEP = -1
@@ -285,46 +282,6 @@ def make_trainer(
         ),
         **options,
     )
-
-
-def interim_evaluation(
-    config: EnvConfig,
-    interim: InterimConfig,
-    make_agent: Callable[[Any], AgentProtocol],
-) -> Callable[[Any], dict[str, float]]:
-    """Make the environments, draw the episodes, and return the function that plays a policy."""
-    env = ArmVectorEnv(config, interim.episodes)
-    episodes = evaluation_episodes(config, interim.episodes, INTERIM_SEED)
-    task = config.task
-    setting = env.running.setting
-
-    def evaluate(policy: Any) -> dict[str, float]:
-        result = play(make_agent(policy), env, episodes)
-        numbers = _numbers(result, config.success_distance_m)
-        columns = task.columns(setting, result.infos)
-        for measure in task.measures:
-            if measure.column in columns and measure.among is None:
-                numbers[measure.name] = columns[measure.column].mean()
-        return {name: float(number) for name, number in numbers.items()}
-
-    return evaluate
-
-
-def _numbers(result: EpisodeResults, success_distance_m: float) -> dict[str, Any]:
-    """Return the columns of ``evaluations.csv``, averages over the episodes.
-
-    ``accuracy`` counts the distance only (paper equation 8), ``success`` distance and orientation.
-    """
-    is_accurate = result.distance <= success_distance_m
-    return {
-        "return_mean": result.episode_return.mean(),
-        "return_std": result.episode_return.std(),
-        "length_mean": result.length.mean(),
-        "success": result.success.mean(),
-        "accuracy": is_accurate.mean(),
-        "distance_mean": result.distance.mean(),
-        "angle_mean": result.angle.mean(),
-    }
 
 
 def announcements(parts: Parts, policy: Policy) -> list[str]:

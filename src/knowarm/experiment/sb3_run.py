@@ -12,8 +12,9 @@ from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.csv_log import CsvLog
 from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.evaluation import EvaluationConfig
+from knowarm.experiment.interim import interim_evaluation
 from knowarm.experiment.provenance import provenance
-from knowarm.experiment.run import interim_evaluation, run_path
+from knowarm.experiment.run import run_path
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.reading import write_json
 from knowarm.world.agents.protocol import Batch, Observations

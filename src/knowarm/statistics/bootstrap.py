@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import scipy
+from numpy.typing import ArrayLike
 
 from knowarm.arrays import Floats
 
@@ -130,8 +131,8 @@ def bootstrap(
 
 def crossed_bootstrap(
     scores: Floats,
-    runs: Sequence[Any],
-    topics: Sequence[Any],
+    runs: ArrayLike,
+    topics: ArrayLike,
     *,
     repetitions: int = 10_000,
 ) -> Interval:
