@@ -164,10 +164,10 @@ def crossed_bootstrap(
     return Interval(float(sums.sum() / counts.sum()), float(low), float(high))
 
 
-def _crossed_sums(values: Floats, runs: Sequence[Any], topics: Sequence[Any]) -> Floats:
+def _crossed_sums(values: Floats, runs: ArrayLike, topics: ArrayLike) -> Floats:
     """Sum values (n,) by run and topic, (runs, topics)."""
-    names_of_runs, rows = np.unique(runs, return_inverse=True)
-    names_of_topics, columns = np.unique(topics, return_inverse=True)
+    names_of_runs, rows = np.unique(np.asarray(runs), return_inverse=True)
+    names_of_topics, columns = np.unique(np.asarray(topics), return_inverse=True)
     sums = np.zeros((len(names_of_runs), len(names_of_topics)))
     np.add.at(sums, (rows, columns), values)
     return sums
