@@ -165,7 +165,7 @@ def test_agents_without_physics(monkeypatch):
     """The same oracle, an agent that guesses, and one that never reads what it is told."""
     monkeypatch.setattr(minimal_pairs, "play", chosen_at_once)
     env = ArmVectorEnv(CHOOSE, 1, num_threads=1)
-    episodes = evaluation_episodes(CHOOSE, 120, SUITE_SEED)
+    episodes = evaluation_episodes(CHOOSE, 60, SUITE_SEED)
     told = questions_of(CHOOSE).satisfies
     shares, columns = measured(Reader(env, told), env, episodes, chosen_at_once)
     assert shares == READS
