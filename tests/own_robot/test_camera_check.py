@@ -164,7 +164,7 @@ def direction(generator) -> np.ndarray:
     ("changes", "noise_px", "cameras", "tries", "least", "most"),
     [
         (lambda g: {}, 0.5, 5, 20, 0.95, 1),
-        (lambda g: {}, 1, 5, 200, 0.95, 1),
+        (lambda g: {}, 1, 5, 100, 0.95, 1),
         (lambda g: {}, 2, 20, 40, 0.95, 1),
         (lambda g: {"shift": 0.03 * direction(g)}, 1, 5, 40, 0, 0.05),
         (lambda g: {"roll_deg": 3.0 * g.choice([-1, 1])}, 1, 5, 40, 0, 0.05),
