@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from knowarm.errors import UserError
-from knowarm.own_robot import draft
+from knowarm.own_robot import draft, object_check
 from knowarm.own_robot.draft import draft_robot, shrink_distance
 from knowarm.own_robot.robot_check import check_joints, check_robot
 from knowarm.own_robot.servo_check import check_servos
@@ -254,6 +254,7 @@ def test_drafts_pass_all_checks(
         monkeypatch.setattr(
             draft, "find_area", lambda *arguments: ({}, "not looked for")
         )
+    monkeypatch.setattr(object_check, "EPISODES", 40)
     (tmp_path / "arm.xml").write_text(CASES[name])
     found = draft_robot(tmp_path / "arm.xml", ["mug", "bottle"], {})
     found = shrink_distance(found, ["mug", "bottle"])
