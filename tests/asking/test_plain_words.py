@@ -517,7 +517,7 @@ def random_phrase(random):
 def test_random_phrases_are_read_as_what_they_are_true_of_or_refused():
     random = np.random.default_rng(0)
     outcomes = Counter()
-    for number in range(70):
+    for number in range(140):
         frame = [*FRAMES][number % len(FRAMES)]
         (one, of_one), (other, of_other) = random_phrase(random), random_phrase(random)
         question = frame.format(one, other)
