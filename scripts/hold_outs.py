@@ -17,10 +17,10 @@ from knowarm.study.pack import unpack_study
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
 TABLES = {
-    "answers": ("answers-fast", ("s1", "s2", "s3", "s4", "s5")),
-    "families": ("answers-distil", ("s1", "s2", "s3a", "s3b", "s4", "s5")),
+    "answers": ("choose-answers-fast", ("s1", "s2", "s3", "s4", "s5")),
+    "families": ("families-answers-distil", ("s1", "s2", "s3a", "s3b", "s4", "s5")),
 }
-"""Agent and splits of each pack."""
+"""Experiment, but for its robot, and splits of each pack."""
 ROBOTS = {"IRB120": "irb120", "TIAGo": "tiago"}
 MEASURES = {"right": "choice_correct", "success": "success"}
 TOPICS = {
@@ -58,22 +58,22 @@ def intervals(experiment: Path, split: str) -> tuple[dict[str, Interval], set[st
             runs.append(seed)
         for name, column in MEASURES.items():
             scores[name] += episodes[column].astype(float).tolist()
-    found = {
+    of_measures = {
         name: crossed_bootstrap(np.array(values), runs, topics)
         for name, values in scores.items()
     }
-    return found, set(topics)
+    return of_measures, set(topics)
 
 
-def table(study: Path, agent: str, splits: Sequence[str], task: str) -> str:
+def table(study: Path, experiment: str, splits: Sequence[str]) -> str:
     """Return a table in Markdown: two rows per robot, topics, a column per split."""
     lines = []
     topics: dict[str, set[str]] = {split: set() for split in splits}
     for title, robot in ROBOTS.items():
         of_splits = []
         for split in splits:
-            experiment = study / f"{robot}-{task}-{agent}"
-            of_measures, topics_of_robot = intervals(experiment, split)
+            runs = study / f"{robot}-{experiment}"
+            of_measures, topics_of_robot = intervals(runs, split)
             of_splits.append(of_measures)
             topics[split] |= topics_of_robot
         for measure in MEASURES:
@@ -95,11 +95,10 @@ def table(study: Path, agent: str, splits: Sequence[str], task: str) -> str:
 
 def main() -> None:
     """Print the tables."""
-    for pack, (agent, splits) in TABLES.items():
+    for pack, (experiment, splits) in TABLES.items():
         with tempfile.TemporaryDirectory() as folder:
             study = unpack_study(RESULTS / f"{pack}.tar.xz", Path(folder) / pack)
-            task = "families" if pack == "families" else "choose"
-            print(table(study, agent, splits, task))
+            print(table(study, experiment, splits))
 
 
 if __name__ == "__main__":
