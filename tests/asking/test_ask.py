@@ -177,6 +177,33 @@ def test_a_graph_with_relations_never_seen_needs_no_training(tmp_path, capsys):
         assert error.count("\n") == 1
 
 
+def test_how_the_scene_was_chosen_is_said(asker, monkeypatch):
+    """A scene in which the arm succeeds is an example: those that failed are counted."""
+    found = asker.ask("usedFor drinking")
+    assert found.selection.endswith("and the arm succeeds.")
+    assert not asker.ask("usedFor drinking", scene=found.scene).selection
+
+    played = []
+    play = asker.play
+
+    def fail_twice(*arguments, **options):
+        asked = play(*arguments, **options)
+        played.append(asked.scene)
+        return replace(asked, within=asked.within and len(played) > 2)
+
+    monkeypatch.setattr(asker, "play", fail_twice)
+    later = asker.ask("usedFor drinking")
+    assert len(set(played)) == len(played) > 2
+    assert later.selection.endswith(f"it failed in {len(played) - 1} before.")
+
+    def fail(*arguments, **options):
+        return replace(play(*arguments, **options), within=False)
+
+    monkeypatch.setattr("knowarm.asking.asker.LOOKED_AT", 4)
+    monkeypatch.setattr(asker, "play", fail)
+    assert "the arm succeeds in none" in asker.ask("usedFor drinking").selection
+
+
 def test_without_one_visible_answer_the_arm_can_stay(asker):
     question = "isMadeOf wood or isMadeOf metal or isMadeOf glass or isMadeOf plastic"
     stays = asker.ask(question, scene=0, unclear="stop")

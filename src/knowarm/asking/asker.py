@@ -149,13 +149,21 @@ class Asker:
         with self._playing:
             if where:
                 scenes = self._with_tray(answers[-1], scenes, where)
-            if scene is None:
-                for number in scenes[:LOOKED_AT]:
-                    if self._is_clear(answers[-1], number):
-                        asked = self.play(answers[-1], number, unclear, where=where)
-                        if asked.right and asked.within:
-                            return asked
-            return self.play(answers[-1], scenes[0], unclear, where=where)
+            if scene is not None:
+                return self.play(answers[-1], scene, unclear, where=where)
+            failed = 0
+            for number in scenes[:LOOKED_AT]:
+                if self._is_clear(answers[-1], number):
+                    asked = self.play(answers[-1], number, unclear, where=where)
+                    if asked.succeeded:
+                        return replace(asked, selection=_selection(failed))
+                    failed += 1
+            asked = self.play(answers[-1], scenes[0], unclear, where=where)
+            selection = (
+                "The scene is the first with an answer: the arm succeeds in none that is clear "
+                f"({failed} tried)."
+            )
+            return replace(asked, selection=selection)
 
     def _with_tray(
         self, answers: Answers, scenes: Sequence[int], where: str
@@ -464,6 +472,14 @@ def ask(
         edit = [edit]
     with closing(Asker(agent, graph, seed=seed, names=names, level=level)) as asker:
         return asker.ask(question, edit, scene, unclear)
+
+
+def _selection(failed: int) -> str:
+    """Say that a scene is the first clear one in which the arm succeeds, after some failures."""
+    chosen = "The scene is the first in which objects stand apart, the network names them rightly"
+    if not failed:
+        return f"{chosen} and the arm succeeds."
+    return f"{chosen} and the arm succeeds; it failed in {failed} before."
 
 
 def _placed(

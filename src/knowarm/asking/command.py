@@ -119,6 +119,7 @@ class Ask(TableCommand):
             "left_out": list(asked.answers.left_out),
             "answers": {"/".join(facet): list(evidence[facet]) for facet in evidence},
             "scene": asked.scene,
+            "selection": asked.selection,
             "shown": list(map("/".join, asked.shown)),
             "named": list(map("/".join, asked.named)),
             "candidates": list(map("/".join, asked.candidates)),
@@ -163,6 +164,8 @@ def _print(asked: Asked) -> None:
     named = sorted(asked.named, key=[*asked.shown, *asked.named].index)
     _print_facets(asked, "the network names", named)
     print(printable(asked.outcome))
+    if asked.selection:
+        print(f"{asked.selection} --scene N plays another.")
 
 
 def _print_facets(asked: Asked, verb: str, facets: Sequence[ObjectColour]) -> None:

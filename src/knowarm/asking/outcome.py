@@ -62,6 +62,8 @@ class Asked:
     """What the agent was given besides the question, such as which tray is which place."""
     where: str = ""
     """Where the question says that the object has to be put; by default where it belongs."""
+    selection: str = ""
+    """How the scene was chosen, in a sentence; empty where it was given."""
 
     @property
     def as_read(self) -> str:
@@ -75,6 +77,11 @@ class Asked:
     def right(self) -> bool:
         """Whether the arm ended nearest to an object that answers."""
         return self.reached in self.truth.evidence
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether the arm did what was asked, with an object that answers."""
+        return self.right and self.within
 
     @property
     def outcome(self) -> str:
