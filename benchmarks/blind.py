@@ -14,8 +14,9 @@ from pathlib import Path
 
 from knowarm.config import override
 from knowarm.experiment.evaluate import evaluate
-from knowarm.experiment.evaluation import BlindProbe, EvaluationConfig
+from knowarm.experiment.evaluation import EvaluationConfig
 from knowarm.experiment.load import load_agent
+from knowarm.experiment.probes import BlindProbe
 from knowarm.statistics import Interval
 from knowarm.world.agents import BLIND_AGENTS, SCRIPTED_AGENTS, AgentProtocol
 from knowarm.world.config import EnvConfig

@@ -15,8 +15,9 @@ import tyro
 from benchmarks.speed import measure_training
 from knowarm.cli.tables import print_table
 from knowarm.errors import UserError
-from knowarm.experiment.evaluation import BlindProbe, EvaluationConfig, StepsProbe
+from knowarm.experiment.evaluation import EvaluationConfig
 from knowarm.experiment.names import DEFAULT_EXPERIMENT
+from knowarm.experiment.probes import BlindProbe, StepsProbe
 from knowarm.study.config import StudyConfig
 from knowarm.study.driver import run_study
 from knowarm.study.executor import LOG, LocalExecutor, Where

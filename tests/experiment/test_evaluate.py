@@ -8,18 +8,16 @@ from knowarm.config import from_dict, to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.evaluation import (
-    BlindProbe,
     DamageTest,
     EvaluationConfig,
-    FilmsProbe,
     GraphTest,
     HeldOutTest,
     ReasoningTest,
     SplitTest,
-    StepsProbe,
-    other_questions,
 )
 from knowarm.experiment.load import load_agent
+from knowarm.experiment.minimal_pairs import other_questions
+from knowarm.experiment.probes import BlindProbe, FilmsProbe, StepsProbe
 from knowarm.experiment.summary import read_film, read_table, summarize
 from knowarm.policy import PolicyAgent
 from knowarm.statistics import wilson

@@ -3,11 +3,11 @@ import pyarrow.parquet as pq
 import pytest
 
 from knowarm.errors import UserError
-from knowarm.experiment.evaluation import step_columns
 from knowarm.experiment.summary import (
     EPISODE_COLUMNS,
     read_film,
     read_table,
+    step_columns,
     write_film,
     write_table,
 )

@@ -11,11 +11,12 @@ import torch
 from knowarm.config import to_dict
 from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.algorithms import ALGORITHMS
-from knowarm.experiment.evaluation import EvaluationConfig, SplitTest, step_columns
+from knowarm.experiment.evaluation import EvaluationConfig, SplitTest
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.experiment.summary import (
     EPISODE_COLUMNS,
     Summary,
+    step_columns,
     summarize,
     write_film,
     write_table,

@@ -8,7 +8,8 @@ import pytest
 
 from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.evaluate import evaluate
-from knowarm.experiment.evaluation import FilmsProbe, SplitTest
+from knowarm.experiment.evaluation import SplitTest
+from knowarm.experiment.probes import FilmsProbe
 from knowarm.reading import read_json, write_json
 from knowarm.report import write_report
 from knowarm.report.blocks import DataTable, flat

@@ -3,7 +3,8 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from knowarm.experiment.evaluation import EvaluationConfig, FilmsProbe, StepsProbe
+from knowarm.experiment.evaluation import EvaluationConfig
+from knowarm.experiment.probes import FilmsProbe, StepsProbe
 from knowarm.study.config import StudyConfig
 from knowarm.study.executor import Ended, Where
 from knowarm.study.worker import work

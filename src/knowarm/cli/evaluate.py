@@ -32,10 +32,8 @@ from knowarm.experiment.config import Which
 from knowarm.experiment.evaluation import (
     AnyCondition,
     BaseTest,
-    BlindProbe,
     DamageTest,
     EvaluationConfig,
-    FilmsProbe,
     GraphTest,
     HeldOutTest,
     Places,
@@ -43,10 +41,14 @@ from knowarm.experiment.evaluation import (
     ReasoningTest,
     SeenTest,
     SplitTest,
+)
+from knowarm.experiment.other_graphs import meeting, target_names
+from knowarm.experiment.probes import (
+    BlindProbe,
+    FilmsProbe,
     StepsProbe,
     optional_probes,
 )
-from knowarm.experiment.other_graphs import meeting, target_names
 from knowarm.experiment.run_lock import is_locked
 from knowarm.experiment.summary import Numbers, Summary, measure
 from knowarm.knowledge.formats import read_graph

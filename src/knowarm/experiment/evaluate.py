@@ -13,20 +13,16 @@ import numpy as np
 from knowarm.arrays import Mask
 from knowarm.config import override, to_dict
 from knowarm.errors import UserError
-from knowarm.experiment.evaluation import (
-    EvaluationConfig,
-    Played,
-    SeenTest,
-    Subject,
-    step_columns,
-)
+from knowarm.experiment.evaluation import EvaluationConfig, SeenTest, Subject
 from knowarm.experiment.knows import answers_by_graph, reason_by
 from knowarm.experiment.load import TrainedAgent, load_agent
+from knowarm.experiment.probes import Played
 from knowarm.experiment.run import Run
 from knowarm.experiment.summary import (
     WIDE_ANGLE_DEG,
     Summary,
     episode_types,
+    step_columns,
     summarize,
     write_film,
     write_table,

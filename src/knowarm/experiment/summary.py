@@ -14,11 +14,11 @@ from PIL import Image, ImageSequence
 
 from knowarm.config import check_values, from_dict
 from knowarm.errors import UserError
-from knowarm.experiment.evaluation import MEASURED, EvaluationConfig, share_of
+from knowarm.experiment.evaluation import EvaluationConfig
 from knowarm.fence import fenced
 from knowarm.measures import Columns, Measure
-from knowarm.reading import read_json, reading, replacing
-from knowarm.statistics import Interval, bootstrap
+from knowarm.reading import read_json, read_toml, reading, replacing
+from knowarm.statistics import Interval, bootstrap, share_of
 from knowarm.world.tasks import task_measures
 
 AGAIN = "Evaluate the run again."
@@ -31,6 +31,8 @@ Numbers = dict[str, Number]
 Described = Mapping[str, tuple[str, str]]
 """Type and meaning of columns, by name."""
 
+MEASURED = read_toml(Path(__file__).with_name("evaluation.toml"))
+"""Columns, with type and meaning, and measures of evaluations."""
 
 STATISTICS: dict[str, Callable[[np.ndarray], Number]] = {
     "share": share_of,
@@ -243,6 +245,8 @@ class Summary:
 
 EPISODE_COLUMNS: Described = MEASURED["columns"]["episodes"]
 """Columns of ``episodes.parquet``: type and meaning; one row per episode."""
+STEP_COLUMNS: Described = MEASURED["columns"]["steps"]
+"""Columns of ``steps.parquet``, followed by ``joint_<i>_rad`` and ``action_<i>`` per joint."""
 
 FRAME_MS = 120
 """Display time of each image of a film [ms]."""
@@ -266,6 +270,16 @@ def episode_types(episodes: Columns, meanings: Mapping[str, str]) -> Described:
         kind = kinds.get(values.dtype.kind, "string")
         types[name] = known.get(name, (kind, meanings.get(name, "of the task")))
     return types
+
+
+def step_columns(joints: int) -> Described:
+    """Return the columns of ``steps.parquet`` for a robot with ``joints`` joints."""
+    columns = dict(STEP_COLUMNS)
+    for i in range(1, joints + 1):
+        increment = f"chosen increment of joint {i}: 0..6, see ACTION_LEVELS"
+        columns[f"joint_{i}_rad"] = ("float32", f"angle of joint {i} [rad]")
+        columns[f"action_{i}"] = ("int8", increment)
+    return columns
 
 
 def write_table(path: Path, columns: Columns, described: Described) -> None:

@@ -11,6 +11,7 @@ from knowarm.statistics.bootstrap import (
     probability_of_improvement as probability_of_improvement,
 )
 from knowarm.statistics.bootstrap import share_difference as share_difference
+from knowarm.statistics.bootstrap import share_of as share_of
 from knowarm.statistics.bootstrap import wilson as wilson
 from knowarm.statistics.compare import Comparison as Comparison
 from knowarm.statistics.compare import holm as holm

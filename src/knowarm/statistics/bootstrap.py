@@ -56,6 +56,11 @@ def wilson(successes: int, trials: int) -> Interval:
     return Interval(successes / trials, float(ends.low), float(ends.high))
 
 
+def share_of(is_so: np.ndarray) -> Interval:
+    """Return the share of true values (n,), with its interval by `wilson`."""
+    return wilson(int(np.count_nonzero(is_so)), len(is_so))
+
+
 def share_difference(first: Interval, second: Interval) -> Interval:
     """Subtract two proportions with Wilson intervals (Newcombe 1998, method 10).
 
