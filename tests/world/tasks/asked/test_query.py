@@ -17,7 +17,7 @@ from knowarm.world import env_id
 from knowarm.world.agents.play import EpisodeResults, play
 from knowarm.world.agents.protocol import Batch, Observations
 from knowarm.world.agents.scripted import OracleAgent
-from knowarm.world.config import EnvConfig, scene_of, setting_of
+from knowarm.world.config import EnvConfig, questions_of, scene_of, setting_of
 from knowarm.world.envs.episodes import EpisodeSource, evaluation_episodes
 from knowarm.world.envs.torch_env import TorchArmVectorEnv
 from knowarm.world.envs.vector_env import ArmVectorEnv
@@ -56,7 +56,7 @@ def small(robot: str = "irb120", **options: Any) -> EnvConfig:
 def arranged(config: EnvConfig) -> Arrangements:
     assert isinstance(config.task.asked, AskObject)
     setting, task = setting_of(config), config.task.asked
-    return arrange(setting.scene, setting.facets, task.queries, task.objects, ())
+    return arrange(setting.scene, task.questions(setting.facets), task.objects)
 
 
 class PickingAgent(OracleAgent):
@@ -185,8 +185,8 @@ def test_most_of_every_object_is_visible_beside_the_others(robot: str) -> None:
 
 
 def test_only_the_query_tells_which_object_is_meant() -> None:
-    found = arranged(small(task=AskObject(queries=NameQueries())))
-    chosen, table = found.sets, found.table
+    config = small(task=AskObject(queries=NameQueries()))
+    chosen, table = arranged(config).sets, questions_of(config)
     assert chosen.balanced
     sets, number = np.unique(chosen.facets, axis=0, return_inverse=True)
     asked = np.zeros(sets.shape, dtype=int)
@@ -208,11 +208,11 @@ def test_a_split_that_asks_for_few_facets_draws_the_question_first() -> None:
             askable[:, 1:] = False
             return replace(table, askable=askable)
 
-    found = arranged(small(task=AskObject(queries=OneAnswer())))
-    chosen = found.sets
+    config = small(task=AskObject(queries=OneAnswer()))
+    chosen, table = arranged(config).sets, questions_of(config)
     assert not chosen.balanced
     assert (chosen.facets[np.arange(len(chosen)), chosen.goal] == 0).all()
-    satisfied = found.table.satisfies[chosen.query[:, None], chosen.facets]
+    satisfied = table.satisfies[chosen.query[:, None], chosen.facets]
     assert (satisfied.sum(axis=1) == 1).all()
 
 

@@ -12,8 +12,7 @@ from knowarm.errors import UserError
 from knowarm.questions import QuestionTable
 from knowarm.world.scene.scene import Scene
 from knowarm.world.tasks.asked.query.layouts import LayoutSource, draws
-from knowarm.world.tasks.asked.query.query_source import QuerySource, question_table
-from knowarm.world.tasks.sampling import DrawnObjects, Facets, Setting, derive, uniforms
+from knowarm.world.tasks.sampling import DrawnObjects, Setting, derive, uniforms
 
 SETS = 2048
 """Sets of objects that are drawn for a task; episodes repeat them in new layouts."""
@@ -54,7 +53,6 @@ class ObjectSets:
 class Arrangements(NamedTuple):
     """Object sets that fit the rectangle, largest object first."""
 
-    table: QuestionTable  # The questions
     sets: ObjectSets  # C sets of objects
     # A layout of each, for episodes in whose draws no layout fits, (C, m, 2) [m]
     spare: Floats
@@ -63,11 +61,8 @@ class Arrangements(NamedTuple):
 class SeveralObjects:
     """Draws objects, places and questions, which have to fit each other."""
 
-    def __init__(self, setting: Setting, queries: QuerySource, objects: int) -> None:
-        arrangements = arrange(
-            setting.scene, setting.facets, queries, objects, queries.version()
-        )
-        table = arrangements.table
+    def __init__(self, setting: Setting, table: QuestionTable, objects: int) -> None:
+        arrangements = arrange(setting.scene, table, objects)
         parts = table.parts.shape[1]
         self.draws = draws(objects // parts)
         self._layouts = LayoutSource(setting.scene, parts)
@@ -118,15 +113,8 @@ def facet_indices(scene: Scene, table: QuestionTable) -> tuple[Integers, Integer
 
 
 @lru_cache(maxsize=16)
-def arrange(
-    scene: Scene,
-    facets: Facets,
-    queries: QuerySource,
-    m: int,
-    version: tuple[int, ...],
-) -> Arrangements:
-    """Draw sets of m facets and find a layout of each, cached as `question_table`."""
-    table = question_table(queries, facets, m, version)
+def arrange(scene: Scene, table: QuestionTable, m: int) -> Arrangements:
+    """Draw sets of m facets and find a layout of each; cached per process and table."""
     target, _ = facet_indices(scene, table)
     parts = table.parts.shape[1]
     layouts = LayoutSource(scene, parts)
@@ -158,7 +146,7 @@ def arrange(
             "without overlapping or hiding each other. Show fewer objects (task.asked.objects), "
             "smaller ones (targets), or enlarge areas.choose of the robot."
         )
-    return Arrangements(table, sets.select(is_kept), spare[number[is_kept]])
+    return Arrangements(sets.select(is_kept), spare[number[is_kept]])
 
 
 def draw_object_sets(table: QuestionTable, objects: int) -> ObjectSets:

@@ -117,7 +117,7 @@ class AskObject(Asking):
 
     def sampler(self, setting: Setting) -> ObjectSampler:
         """Return what draws objects, places and questions."""
-        return SeveralObjects(setting, self.queries, self.visible)
+        return SeveralObjects(setting, self.questions(setting.facets), self.visible)
 
     def questions(self, facets: Facets) -> QuestionTable:
         """Return the questions, cached per process."""
