@@ -179,10 +179,11 @@ def _train(
                     step=0, reason="stopped", best_return=None, best_step=None
                 )
                 return Run(folder, stopped)
+        if network is not None:
+            knowledge = config.knows.known(
+                config.env, config.seed, table=knowledge.table, network=network
+            )
         logs = RunLogs(folder, progress)
-        knowledge = config.knows.known(
-            config.env, config.seed, table=knowledge.table, network=network
-        )
         trainer = make_trainer(
             config,
             policy,
