@@ -46,10 +46,9 @@ from knowarm.policy import Policy
 from knowarm.world.agents.play import play
 from knowarm.world.agents.protocol import Batch, Observations
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.base import Observed
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.single_env import ArmEnv
-from knowarm.world.envs.vector_env import ArmVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv, Observed
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -30,9 +30,9 @@ from knowarm.experiment.load import load_agent
 from knowarm.pictures import encode
 from knowarm.world.backend import MujocoSimulator
 from knowarm.world.config import EnvConfig, facets_of, scene_of
-from knowarm.world.envs.base import draw_images
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.running import RunningEpisodes
+from knowarm.world.envs.vector_env import draw_images
 from knowarm.world.render.renderer import make_renderer
 from knowarm.world.scene.compose import CONTROL_PERIOD_S, SUBSTEPS
 from knowarm.world.scene.scene import Scene

@@ -19,9 +19,8 @@ from knowarm.perception.recognition import AnswerGrounding
 from knowarm.perception.solving import SolvingAgent
 from knowarm.questions import ObjectColour
 from knowarm.world.config import EnvConfig, facets_of
-from knowarm.world.envs.base import draw_images
 from knowarm.world.envs.episodes import evaluation_episodes
-from knowarm.world.envs.vector_env import ArmVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv, draw_images
 from knowarm.world.tasks.sampling import Episodes
 from knowarm.world.tasks.skills.chores import Chores, Tidied, only
 from knowarm.world.tasks.skills.guides import Sight

@@ -7,8 +7,8 @@ from gymnasium.vector import VectorEnv
 from knowarm.arrays import Array
 from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.base import Infos
 from knowarm.world.envs.single_env import ArmEnv, make_vector_env
+from knowarm.world.envs.vector_env import Infos
 from knowarm.world.tasks import find_task
 
 

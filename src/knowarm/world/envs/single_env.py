@@ -12,9 +12,8 @@ from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
 from knowarm.arrays import Array, Floats, Images
 from knowarm.errors import UserError, unknown_name
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.base import Infos
 from knowarm.world.envs.running import Options
-from knowarm.world.envs.vector_env import ArmVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv, Infos
 from knowarm.world.tasks.state import NamedArrays
 
 INTERFACE = ("action", "observe", "knowledge")

@@ -13,8 +13,8 @@ from torch import Tensor
 from knowarm.arrays import Array, Floats32, Integers, Mask
 from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig, row_names
-from knowarm.world.envs.base import BaseVectorEnv, Infos, draw_images
 from knowarm.world.envs.privileged import privileged_columns, privileged_state
+from knowarm.world.envs.vector_env import BaseVectorEnv, Infos, draw_images
 from knowarm.world.tasks.skills.teacher import COARSE_LEVELS, Teacher
 from knowarm.world.tasks.state import nearest_levels
 
