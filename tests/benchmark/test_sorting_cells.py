@@ -18,7 +18,7 @@ from knowarm.reading import write_json
 from knowarm.world.agents.protocol import Batch
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.tasks.skills.guides import Way
+from knowarm.world.tasks.skills.guides import JointPath
 from knowarm.world.tasks.skills.lift.guide import LiftGuide
 from tests.source_tree import ROOT
 
@@ -53,10 +53,10 @@ def test_a_table_is_named_by_its_group(cell, suite):
 @pytest.mark.slow
 def test_where_objects_belong_has_controls_of_its_own(suite, monkeypatch, tmp_path):
     def stand_still(guide, sight):
-        """Solve no way: a control of each of ten would take seconds."""
-        return Way(sight.joints[:, None], 1.0)
+        """Solve no path: a control of each of ten would take seconds."""
+        return JointPath(sight.joints[:, None], 1.0)
 
-    monkeypatch.setattr(LiftGuide, "way", stand_still)
+    monkeypatch.setattr(LiftGuide, "path", stand_still)
     row = run_suite(suite, [entrant(RUN)], name="seen")
     controls = row["cells"]["tiago-place"]["controls"]
     assert [*controls, "intact graph"] == list(CONTROLS)

@@ -67,10 +67,10 @@ class Reader:
         joints = np.stack(list(batch.joints.values()), axis=1)
         position = state.grasp_positions()[at]
         sight = Sight(joints, position, matrix, state.objects, state.positions)
-        self.way = guide_of(self.env.config).way(sight)
+        self.path = guide_of(self.env.config).path(sight)
 
     def act(self, observations):
-        actions = nearest_levels(self.way.error(observations["joint_targets"]))
+        actions = nearest_levels(self.path.error(observations["joint_targets"]))
         return np.where(self.stays[:, None], 0, actions)
 
 

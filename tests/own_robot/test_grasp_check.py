@@ -17,7 +17,7 @@ def test_a_gripper_lifts_in_its_area_and_not_from_thin_air(monkeypatch) -> None:
     assert check.name == "lift by physics"
     assert check.ok
     held = re.fullmatch(
-        r"succeeds at (\d) of 6 places: on a planned way at \d, as the teacher does at \d",
+        r"succeeds at (\d) of 6 places: on a planned path at \d, as the teacher does at \d",
         check.found,
     )
     assert held is not None

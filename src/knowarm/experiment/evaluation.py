@@ -266,7 +266,7 @@ class ReasoningTest(BaseTest):
 
 @dataclass(frozen=True, kw_only=True)
 class SeenTest(BaseTest):
-    """Let inverse kinematics act in place of the policy: see the grasp frame, then solve the way.
+    """Let inverse kinematics act in place of the policy: see the grasp frame, then solve the path.
 
     It needs joint angles and a kinematic model, without which the policy does.
     """

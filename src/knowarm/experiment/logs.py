@@ -27,7 +27,7 @@ class TrainingProgress:
 
     On a terminal: a bar with rate, remaining time and success in the latest interim evaluation.
     Elsewhere: a plain line every `LINE_S` seconds. Episodes of the training itself are not shown:
-    they may have easier thresholds, or start on the way of a teacher.
+    they may have easier thresholds, or start on the path of a teacher.
     """
 
     def __init__(self, label: str, total_steps: int):

@@ -212,7 +212,7 @@ class DistilConfig(MinibatchConfig):
     """Weigh the loss of each joint by its way to the solution, from half a largest step up to this
     one [largest steps], so that a turn far beyond the goal counts more than one step too many."""
     practice_until: float = 1.0
-    """Fraction of the training during which the share of episodes that start on the teacher's way
+    """Fraction of the training during which the share of episodes that start on the teacher's path
     to the goal, with noise, falls from all to none; 0: all episodes start as the task draws
     them."""
     glimpse_until: float = 0.2

@@ -91,7 +91,7 @@ class TeachingVectorEnv(PrivilegedVectorEnv, Protocol):
     """
 
     practice_share: float
-    """Share of the next episodes that start on the way to the goal, 0 to 1; set by the trainer."""
+    """Share of the next episodes that start on the path to the goal, 0 to 1; set by the trainer."""
 
     def teach(self) -> tuple[Tensor, Tensor]:
         """Return the teacher's actions (n, J) int64, and the way to its solution (n, J) float32.

@@ -38,7 +38,7 @@ def check_grasps(robot: Robot, path: str) -> Iterator[Check]:
 
 
 def _check_skill(skill: Skill, path: str) -> Check:
-    """Let the oracle, which plans its way, and the teacher try a skill at the same places."""
+    """Let the oracle, which plans its path, and the teacher try a skill at the same places."""
     remedy = (
         f"move or shrink areas.{skill.area}, turn its objects with target_yaw_deg there, or leave "
         "it out, if only the pose is to be reached."
@@ -55,7 +55,7 @@ def _check_skill(skill: Skill, path: str) -> Check:
     return Check(
         f"{skill.area} by physics",
         bool(held.mean() >= MIN_HELD),
-        f"succeeds at {np.sum(held)} of {PLACES} places: on a planned way at {np.sum(planned)}, as "
-        f"the teacher does at {np.sum(taught)}",
+        f"succeeds at {np.sum(held)} of {PLACES} places: on a planned path at {np.sum(planned)}, "
+        f"as the teacher does at {np.sum(taught)}",
         f"Fewer than {100 * MIN_HELD:.0f} %: {remedy}",
     )

@@ -12,7 +12,7 @@ from knowarm.check import Check
 from knowarm.errors import UserError
 from knowarm.own_robot.pixels import SceneImages, different_pixels
 from knowarm.own_robot.poses import grasps, place_targets, rectangle_places
-from knowarm.own_robot.robot_check import JointWay, check_reach, check_visible
+from knowarm.own_robot.robot_check import StraightPath, check_reach, check_visible
 from knowarm.questions import object_of
 from knowarm.world.agents import OracleAgent
 from knowarm.world.agents.play import play
@@ -61,9 +61,9 @@ def check_objects(
     solver = InverseKinematics(scene, ignore_roll=config.ignore_roll)
     start = np.tile(scene.home, (len(signs), 1))
     for k, grasp in enumerate(zip(*grasps(scene, signs), strict=True)):
-        way = JointWay(scene, config, start, solver.solve(*grasp, start))
+        path = StraightPath(scene, config, start, solver.solve(*grasp, start))
         places = rectangle_places(scene.robot, signs)
-        checks.append(check_reach(way, k, places, remedy))
+        checks.append(check_reach(path, k, places, remedy))
     checks += _check_images(scene, config, signs)
     if all(check.ok for check in checks):
         checks.append(_check_oracle(config, area))

@@ -1,4 +1,4 @@
-"""Repair of a draft whose way to the grasps fails its checks: what was tried, and what helped."""
+"""Repair of a draft whose path to the grasps fails its checks: what was tried, and what helped."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace

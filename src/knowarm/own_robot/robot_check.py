@@ -252,7 +252,7 @@ def _check_gripper(env: ArmVectorEnv) -> Check:
 
 
 def check_ways(config: EnvConfig) -> Iterator[Check]:
-    """Check the reach of every target, and the oracle's way if all are reached."""
+    """Check the reach of every target, and the oracle's path if all are reached."""
     is_reached = True
     for name in config.targets:
         env = ArmVectorEnv(replace(config, targets=(name,), image_size=1), SAMPLES)
@@ -272,27 +272,27 @@ def _check_reach(env: ArmVectorEnv, others: Sequence[str] = ()) -> Check:
     position = env.running.goal_position
     goal = (position, env.running.goal_matrix)
     solution = solver.solve(*goal, env.joint_positions)
-    way = JointWay(scene, env.config, env.joint_positions, solution)
-    reached = way.reached
+    path = StraightPath(scene, env.config, env.joint_positions, solution)
+    reached = path.reached
     if reached.any():
         # The branch of the nearest place that is reached may also reach the others.
         nearest = cdist(position, position[reached]).argmin(axis=1)
         branch = solution.joints[reached][nearest]
         follow = InverseKinematics.of_task(scene, env.running, starts=1)
-        again = way._replace(solution=follow.solve(*goal, branch, attempts=1))
+        again = path._replace(solution=follow.solve(*goal, branch, attempts=1))
         better = ~reached & again.reached
         for name, values in vars(solution).items():
             values[better] = getattr(again.solution, name)[better]
     remedy = "move or shrink the rectangle, turn the target with target_yaws_deg"
-    if (way.steps > way.most_steps).any():
+    if (path.steps > path.most_steps).any():
         remedy += f", enlarge mpi_rad, which is {scene.robot.mpi_rad:g}"
     if others:
         remedy += f", or leave it out: --targets {shlex.join(others)}"
-    return check_reach(way, 0, episodes.position, f"{remedy}.")
+    return check_reach(path, 0, episodes.position, f"{remedy}.")
 
 
-class JointWay(NamedTuple):
-    """The way from joint angles (n, J) to solutions for n places, as episodes would go it."""
+class StraightPath(NamedTuple):
+    """Straight paths of the joints, (n, J), to solutions for n places, as in episodes."""
 
     scene: Scene
     config: EnvConfig
@@ -322,7 +322,7 @@ class JointWay(NamedTuple):
 def check_agents(
     config: EnvConfig, distance_m: float = EVALUATION_M
 ) -> Iterator[Check]:
-    """Play the oracle, whose way must be short enough to learn, and a fixed list of actions.
+    """Play the oracle, whose path must be short enough to learn, and a fixed list of actions.
 
     The list is judged with the thresholds of an evaluation, whose distance is given [m], the oracle
     with those of a training: the same distance where it is smaller than the task's.
@@ -366,26 +366,26 @@ def fixed_list_success(config: EnvConfig, distance_m: float) -> tuple[float, flo
     return float(results.success.mean()), angle_deg
 
 
-def check_reach(way: JointWay, target: int, places: Floats, remedy: str) -> Check:
+def check_reach(path: StraightPath, target: int, places: Floats, remedy: str) -> Check:
     """Check that episodes can reach solutions for a target at places (n, 2).
 
     The limits are the thresholds of success, no contact, and `MOVING_SHARE` of the steps.
     """
-    robot = way.scene.robot
-    name = way.scene.targets[target].name
-    reached = way.reached
+    robot = path.scene.robot
+    name = path.scene.targets[target].name
+    reached = path.reached
     share = float(reached.mean())
     where = ""
     if share < 1:
         missed = ~reached
-        solution = way.solution
+        solution = path.solution
         x, y = places[missed].mean(axis=0)
         distance = np.median(solution.distance[missed])
         angle = np.median(solution.angle[missed])
-        steps = np.median(way.steps[missed])
+        steps = np.median(path.steps[missed])
         where = (
             f"Not reached: positions around x {x:.2f}, y {y:.2f} m (median error {distance:.3f} m, "
-            f"{angle:.0f} deg; {steps:.0f} steps of at most {way.most_steps:.0f}; "
+            f"{angle:.0f} deg; {steps:.0f} steps of at most {path.most_steps:.0f}; "
             f"{100 * solution.contact[missed].mean():.0f} % in contact): {remedy}"
         )
     source = " (target_yaws_deg)" if object_of(name) in robot.target_yaws_deg else ""

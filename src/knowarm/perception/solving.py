@@ -1,4 +1,4 @@
-"""See, then solve: a network sees objects and grasp frame, a guide solves the way; no policy.
+"""See, then solve: a network sees objects and grasp frame, a guide solves the path; no policy.
 
 It needs what a policy does without: joint angles and a kinematic model of the arm.
 """
@@ -19,7 +19,7 @@ from knowarm.policy import PolicyAgent
 from knowarm.world.agents.protocol import Batch
 from knowarm.world.agents.scripted import guide_of
 from knowarm.world.config import EnvConfig, scene_of
-from knowarm.world.tasks.skills.guides import DESTINATION, Sight, Way
+from knowarm.world.tasks.skills.guides import DESTINATION, JointPath, Sight
 from knowarm.world.tasks.state import nearest_levels
 
 
@@ -39,7 +39,7 @@ class Seen(NamedTuple):
 
 
 class SolvingAgent:
-    """Moves the arm on the way that the task's guide solves for what is seen in the first image.
+    """Moves the arm on the path that the task's guide solves for what is seen in the first image.
 
     Args:
         agent: the agent whose recognition sees; its policy plays no part.
@@ -70,7 +70,7 @@ class SolvingAgent:
     ) -> None:
         if not isinstance(agent.recognition, FrameRecognition):
             raise UserError(
-                "Only what sees a grasp frame can solve the way to it: this agent has no "
+                "Only what sees a grasp frame can solve the path to it: this agent has no "
                 "grounding network. Take a run such as zoo/irb120-choose-answers-fast."
             )
         self._agent = agent
@@ -129,19 +129,19 @@ class SolvingAgent:
         if not self._hears:
             self._facts.pop(DESTINATION, None)
         self.lacks_place = np.zeros(batch.size, bool)
-        self._way: Way | None = None
+        self._path: JointPath | None = None
 
     def act(self, observations: Mapping[str, np.ndarray]) -> Integers:
-        """Choose the action of each joint that ends nearest to the way, (n, J)."""
-        if self._way is None:
+        """Choose the action of each joint that ends nearest to the path, (n, J)."""
+        if self._path is None:
             images = torch.from_numpy(observations["image"].copy())
             frames = self._agent.recognize(images)
             self.notes = self._agent.notes
             sight = self._sight(images, frames)
             if sight.decided is not None and not self._guesses:
                 self.lacks_place = ~sight.decided
-            self._way = self._guide.way(sight)
-        actions = nearest_levels(self._way.error(observations["joint_targets"]))
+            self._path = self._guide.path(sight)
+        actions = nearest_levels(self._path.error(observations["joint_targets"]))
         return np.where(self.moves[:, None], actions, 0)
 
     def _sight(self, images: Tensor, frames: Tensor) -> Sight:

@@ -16,7 +16,7 @@ from knowarm.world.tasks.state import NamedArrays
 
 BEYOND_M = 0.02  # Way of the object's centre beyond the line
 SURELY_M = 0.10  # Way of the gripper beyond it: objects turn in the grip
-POSES = 8  # of the way over it
+POSES = 8  # of the path over it
 
 
 class PushGuide(LiftGuide):
@@ -32,7 +32,7 @@ class PushGuide(LiftGuide):
         position, matrix = self._follower.pose(grasp)
         shifts = np.zeros((POSES, len(grasp), 3))
         shifts[:, :, 1] = np.linspace(0, 1, POSES + 1)[1:, None] * way
-        points = self._follower.solve_way(position, matrix, grasp, shifts)
+        points = self._follower.solve_path(position, matrix, grasp, shifts)
         return [self._moving(points, self._closed_m)]
 
 

@@ -31,7 +31,7 @@ STANDARD = "objects"
 DRAWN = 4_000
 """Episodes of the task among which scenes to tidy are looked for."""
 AT_ONCE = 50  # of them
-MOST_STEPS = 400  # of the way of one object
+MOST_STEPS = 400  # of the path of one object
 TRIES = 2
 NEAR_M = 0.10  # Way of an object that is still where it was tried to be taken
 
@@ -213,13 +213,13 @@ class Tidying:
             places=places[rows, order],
             destination=self._destination()[ids, which],
         )
-        way = self._chores.guide.way(sight)
+        path = self._chores.guide.path(sight)
         nobody = np.zeros(len(self._rows), bool)
         actions = np.zeros((len(self._rows), self.env.scene.num_joints), np.int64)
         for _ in range(MOST_STEPS):
             targets = self.env.running.joint_targets[ids]
-            actions[ids] = nearest_levels(way.error(targets))
-            if way.has_ended(targets).all():
+            actions[ids] = nearest_levels(path.error(targets))
+            if path.has_ended(targets).all():
                 break
             self.env.advance(actions, nobody)
             on_step()

@@ -16,7 +16,7 @@ from knowarm.world.config import EnvConfig, scene_of
 from knowarm.world.envs.running import joint_increments
 from knowarm.world.envs.single_env import ArmEnv
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.tasks.skills.guides import Guide, Sight, Way
+from knowarm.world.tasks.skills.guides import Guide, JointPath, Sight
 from knowarm.world.tasks.state import ACTION_LEVELS, nearest_levels
 
 
@@ -70,17 +70,17 @@ class OpenLoopAgent(_UninformedAgent):
 class OracleAgent(PrivilegedAgent):
     """Moves to the true goal frame by inverse kinematics, without looking at the image.
 
-    In every step each joint takes the action that ends nearest to the way of the skill's guide
+    In every step each joint takes the action that ends nearest to the path of the skill's guide
     (`Skill.guide`). It shows that a task can be solved with the seven actions, and its score is an
     upper reference for agents that see images.
 
     Attributes:
-        guide: solves the ways.
-        way: those of the running episodes.
+        guide: solves the paths.
+        path: those of the running episodes.
     """
 
-    way: Way
-    _straight = False  # Whether the way ends straight along the approach direction
+    path: JointPath
+    _straight = False  # Whether the path ends straight along the approach direction
 
     def __init__(self, env: ArmEnv | ArmVectorEnv, seed: int = 0) -> None:
         super().__init__(env, seed)
@@ -89,11 +89,11 @@ class OracleAgent(PrivilegedAgent):
     def reset(self, batch: Batch) -> None:
         """Solve the inverse kinematics of every episode."""
         super().reset(batch)
-        self.way = self.guide.way(Sight.true(self._env.running))
+        self.path = self.guide.path(Sight.true(self._env.running))
 
     def act(self, observations: Observations) -> Integers:
         """Choose for each joint the action that ends nearest to its solution, (n, J)."""
-        return nearest_levels(self.way.error(self._env.running.joint_targets))
+        return nearest_levels(self.path.error(self._env.running.joint_targets))
 
 
 def guide_of(env: EnvConfig, seed: int = 0, straight: bool = False) -> Guide:

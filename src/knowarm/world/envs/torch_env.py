@@ -107,7 +107,7 @@ class TorchArmVectorEnv(BaseVectorEnv[Tensor]):
 
     @property
     def practice_share(self) -> float:
-        """Share of the next episodes that start on the teacher's way, 0 to 1; it can be set."""
+        """Share of the next episodes that start on the teacher's path, 0 to 1; it can be set."""
         return self.teacher.practice_share
 
     @practice_share.setter

@@ -75,7 +75,7 @@ class PickingAgent(OracleAgent):
         grasp = env.running.grasp_positions()[rows, pick]
         matrix = env.scene.grasp_matrix[target].reshape(-1, 9)
         sight = Sight.true(env.running)._replace(position=grasp, matrix=matrix)
-        self.way = self.guide.way(sight)
+        self.path = self.guide.path(sight)
 
 
 class TryingAgent(PickingAgent):

@@ -52,7 +52,7 @@ class Chores(Protocol):
         told: what an agent is given about the scenes, (n, K) names: the ``places`` and their
             ``marks``.
         spots: where objects are put down, x and y of each place, (K, 2) [m].
-        guide: solves the way of one object to its spot and back.
+        guide: solves the path of one object to its spot and back.
     """
 
     relation: str

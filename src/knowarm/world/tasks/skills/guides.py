@@ -1,4 +1,4 @@
-"""Guides: ways by inverse kinematics, solved once per episode from what is known as it starts."""
+"""Guides: paths by inverse kinematics, solved once per episode from what is known as it starts."""
 
 from typing import ClassVar, NamedTuple, Self
 
@@ -10,8 +10,8 @@ from knowarm.world.scene.scene import Scene
 from knowarm.world.tasks.skills.ik import InverseKinematics
 from knowarm.world.tasks.state import EpisodeState
 
-APPROACH_M = 0.10  # Way of the gripper straight to the goal frame
-WAYPOINTS = 8  # Poses of this way
+APPROACH_M = 0.10  # Length of the straight path to the goal frame
+WAYPOINTS = 8  # Poses of this path
 NEAR = 0.05  # Joints within this share of the largest step of a pose have passed it
 PASSES = 3  # Points that are passed in one step at most
 DESTINATION = "destination"
@@ -50,11 +50,11 @@ class Sight(NamedTuple):
         )
 
 
-class Way:
-    """Points of n joint paths that an arm passes one after the other.
+class JointPath:
+    """Paths of n arms: joint targets that each passes one after the other.
 
     Args:
-        points: joint targets, (n, W, J) [rad].
+        points: the joint targets, (n, W, J) [rad].
         largest_step: of a joint [rad].
         tolerance: largest error of a joint at which each point is passed [largest steps], (W,).
         pause: steps that the arm waits there, (W,).
@@ -114,7 +114,7 @@ class Guide:
     """
 
     moves_fingers: ClassVar[bool] = False
-    """Whether its ways close the fingers."""
+    """Whether its paths close the fingers."""
 
     def __init__(
         self,
@@ -126,7 +126,7 @@ class Guide:
     ) -> None:
         if not self.moves_fingers and scene.joint_names != scene.robot.joints:
             raise UserError(
-                "The way to a grasp frame does not tell what else moves: "
+                "The path to a grasp frame does not tell what else moves: "
                 f"{', '.join(scene.joint_names[len(scene.robot.joints) :])}. Override "
                 "`Skill.guide` with a `Guide` that does."
             )
@@ -137,10 +137,10 @@ class Guide:
         self._ignore_roll = ignore_roll
         self._solver = self._make_solver()
 
-    def way(self, sight: Sight) -> Way:
-        """Solve the way of every episode."""
+    def path(self, sight: Sight) -> JointPath:
+        """Solve the path of every episode."""
         goal = self._solver.solve(sight.position, sight.matrix, sight.joints).joints
-        return Way(goal[:, None], self._largest)
+        return JointPath(goal[:, None], self._largest)
 
     def _make_solver(self, starts: int = 8) -> InverseKinematics:
         """Make a solver with a number of starts."""
@@ -156,16 +156,16 @@ class Guide:
 class StraightApproach(Guide):
     """Moves to a pose behind the goal frame, and then straight along the frame's z axis.
 
-    On the shortest way of the joints, fingers can hit the object.
+    On the shortest path of the joints, fingers can hit the object.
     """
 
-    def way(self, sight: Sight) -> Way:
-        """Solve the way of every episode."""
-        goal = super().way(sight).points[:, -1]
+    def path(self, sight: Sight) -> JointPath:
+        """Solve the path of every episode."""
+        goal = super().path(sight).points[:, -1]
         back = -sight.matrix.reshape(-1, 3, 3)[:, :, 2]
         distances = np.linspace(0.0, APPROACH_M, WAYPOINTS + 1)[1:]
         shifts = distances[:, None, None] * back
         solver = self._make_solver(starts=1)
-        way = solver.solve_way(sight.position, sight.matrix, goal, shifts)
-        points = np.concatenate([way[:, ::-1], goal[:, None]], axis=1)
-        return Way(points, self._largest)
+        approach = solver.solve_path(sight.position, sight.matrix, goal, shifts)
+        points = np.concatenate([approach[:, ::-1], goal[:, None]], axis=1)
+        return JointPath(points, self._largest)

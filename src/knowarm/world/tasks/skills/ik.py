@@ -120,15 +120,15 @@ class InverseKinematics:
                 values[missed[is_better]] = getattr(again, name)[is_better]
         return solution
 
-    def solve_way(
+    def solve_path(
         self, position: Floats, matrix: Floats, start: Floats, shifts: Floats
     ) -> Floats:
         """Solve for poses moved by each of W shifts, from the solution before, (n, W, J) [rad]."""
-        way = []
+        path = []
         for shift in shifts:
             start = self.solve(position + shift, matrix, start, attempts=1).joints
-            way.append(start)
-        return np.stack(way, axis=1)
+            path.append(start)
+        return np.stack(path, axis=1)
 
     def pose(self, joints: Floats) -> Frames:
         """Compute positions (n, 3) [m] and row-major rotations (n, 9) at joint angles (n, J)."""

@@ -102,7 +102,7 @@ class Skill(BaseTaskPart):
     def guide(self, straight: bool) -> type[Guide]:
         """Return what guides scripted agents to the solution of running episodes.
 
-        ``straight`` asks for a way that ends straight along the approach direction.
+        ``straight`` asks for a path that ends straight along the approach direction.
         """
         return StraightApproach if straight else Guide
 

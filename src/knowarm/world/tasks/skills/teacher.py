@@ -105,14 +105,14 @@ class GoalTable:
 class Teacher:
     """Computes the joint angles that solve every running episode, from its state without images.
 
-    It also moves the starts of a share of the episodes onto the way from start to solution
-    (`practice`), so that a student sees all of the way before it can follow it.
+    It also moves the starts of a share of the episodes onto the path from start to solution
+    (`practice`), so that a student sees all of the path before it can follow it.
 
     Args:
         state: the episodes.
 
     Attributes:
-        practice_share: share of the episodes that start on the way, 0 to 1.
+        practice_share: share of the episodes that start on the path, 0 to 1.
     """
 
     def __init__(self, state: EpisodeState) -> None:
@@ -128,7 +128,7 @@ class Teacher:
         return (goals - state.joint_targets) / self._largest
 
     def practice(self, episodes: Episodes, streams: Words, numbers: Words) -> Episodes:
-        """Move the starts of a share of new episodes (k,) to noisy points on their way."""
+        """Move the starts of a share of new episodes (k,) to noisy points on their path."""
         if not self.practice_share:
             return episodes
         scene = self._state.scene
@@ -159,7 +159,7 @@ class Teacher:
         noise: Floats,
         choice: Floats,
     ) -> Floats:
-        """Return joint angles on the way from start to solution, (k, J) [rad].
+        """Return joint angles on the path from start to solution, (k, J) [rad].
 
         ``share`` and ``choice`` are uniform draws (k, 1), ``noise`` has a standard deviation of one
         largest step, (k, J).

@@ -30,10 +30,10 @@ class ShortSightedAgent(knowarm.OracleAgent):
         super().reset(batch)
         sight = Sight.true(self._env.running)
         only = sight._replace(objects=sight.objects[:, :1], places=sight.places[:, :1])
-        self.way = self.guide.way(only)
+        self.path = self.guide.path(only)
 
 
-def test_the_way_goes_around_other_objects():
+def test_the_path_goes_around_other_objects():
     env = make_env("tiago")
     episodes = knowarm.evaluation_episodes(env.config, COUNT, seed=0)
     oracle = knowarm.OracleAgent(env)
@@ -63,7 +63,7 @@ def test_a_gripper_in_another_object_is_not_free():
     arm = replace(env.config, task=find_task("choose"), dynamics="kinematic")
     guide = Guide(scene_of(arm), 0.05, 15.0, False)
     sight = sight._replace(joints=sight.joints[:, :-1], position=other, matrix=matrix)
-    inside = guide.way(sight).points
+    inside = guide.path(sight).points
     assert not surroundings.are_free(ids, inside, CLOSED[0]).any()
 
 
@@ -131,13 +131,13 @@ def test_what_is_seen_is_lifted():
     agent = TrueAgent(TrueRecognition(GroundingNetwork(spec, knowledge, 1), env))
     solving = SolvingAgent(agent, env.config)
     sights = []
-    solve = solving._guide.way
+    solve = solving._guide.path
 
-    def way(sight):
+    def path(sight):
         sights.append(sight)
         return solve(sight)
 
-    solving._guide.way = way
+    solving._guide.path = path
     found = knowarm.play(solving, env, episodes)
     (sight,) = sights
     np.testing.assert_array_equal(sight.objects[:, 0], episodes.target)

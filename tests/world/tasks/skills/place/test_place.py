@@ -127,12 +127,12 @@ def test_what_is_held_may_touch_nothing_either():
     joints = sight._replace(joints=sight.joints[:, :-1])
     alone = Surroundings(state.scene, sight)
     holding = Surroundings(state.scene, sight)
-    holding.hold(guide.way(joints).points[:, 0])
+    holding.hold(guide.path(joints).points[:, 0])
     ids = np.arange(6)
     differs = nothing(env)
     for height in np.arange(0.04, 0.24, 0.04):
         above = state.grasp_positions()[:, 1] + [0, 0, height]
-        pose = guide.way(joints._replace(position=above)).points
+        pose = guide.path(joints._replace(position=above)).points
         is_free = holding.are_free(ids, pose, 0.0)
         assert not (is_free & ~alone.are_free(ids, pose, 0.0)).any()
         differs |= alone.are_free(ids, pose, 0.0) & ~is_free

@@ -232,7 +232,7 @@ def test_on_another_tray_it_is_lost_as_such():
     number = np.argmax((centres == right[:, None]).all(axis=2), axis=1)
     wrong = Sight.true(env.running)._replace(destination=centres[(number + 1) % 3])
     agent.reset(Batch.of(env))
-    agent.way = agent.guide.way(wrong)
+    agent.path = agent.guide.path(wrong)
     placing = np.full(12, "running  ", "<U16")
     for _ in range(159):
         _, _, ended, _, infos = env.advance(agent.act({}), np.zeros(12, bool))

@@ -1,4 +1,4 @@
-"""Guide of lifting: a way to a grasp that touches nothing else, by trying several of them."""
+"""Guide of lifting: a path to a grasp that touches nothing else, by trying several of them."""
 
 from collections.abc import Iterator, Sequence
 from itertools import product
@@ -8,7 +8,7 @@ import numpy as np
 
 from knowarm.arrays import Floats, Indices, Mask
 from knowarm.world.scene.scene import build_scene
-from knowarm.world.tasks.skills.guides import Guide, Sight, Way
+from knowarm.world.tasks.skills.guides import Guide, JointPath, Sight
 from knowarm.world.tasks.skills.ik import (
     FEW_POSES,
     REACHED_DEG,
@@ -22,7 +22,7 @@ from knowarm.world.tasks.state import places_of_all
 BACK_M = (0.10, 0.075, 0.05, 0.035, 0.02, 0.01)  # Distances of the straight approach
 # Heights above its first pose, of which some may be left out
 OVER_M = (0.15, 0.10, 0.05)
-RISE_M = (0.03, 0.06, 0.10, 0.14)  # Heights of the way upwards
+RISE_M = (0.03, 0.06, 0.10, 0.14)  # Heights of the path upwards
 CLOSED = (0.0, 0.35)  # Shares of their way that fingers are closed before the grasp
 FAR_M = 100.0  # Where nothing is touched
 UNREACHED = 1000.0  # Cost of a grasp that the arm does not reach [steps]
@@ -47,7 +47,7 @@ class Turn(NamedTuple):
 
     @property
     def detour(self) -> float:
-        """Return how much longer another way may be before this turn is preferred [steps]."""
+        """Return how much longer another path may be before this turn is preferred [steps]."""
         return abs(self.about_fingers_deg) / 5 + abs(self.about_vertical_deg) / 4
 
     def of(self, matrix: Floats) -> Floats:
@@ -74,11 +74,11 @@ TRIED = (
     + _turns(25.0, 0.0, 40.0, -40.0, 80.0, -80.0)
     + _turns(-25.0, 0.0, 40.0, -40.0, 80.0, -80.0),
 )
-"""Turns of the grasp; the second ones where no way to one of the first is free."""
+"""Turns of the grasp; the second ones where no path to one of the first is free."""
 
 
 class Candidate(NamedTuple):
-    """A way to a grasp of k of the episodes, without its beginning."""
+    """A path to a grasp of k of the episodes, without its beginning."""
 
     ids: Indices
     """Numbers of the episodes, (k,)."""
@@ -91,7 +91,7 @@ class Candidate(NamedTuple):
 
 
 class Leg(NamedTuple):
-    """A piece of the ways of n episodes, on which the fingers do not move."""
+    """A piece of the paths of n episodes, on which the fingers do not move."""
 
     points: Floats
     """Joint angles, (n, W, A) [rad]."""
@@ -103,8 +103,8 @@ class Leg(NamedTuple):
     """Steps at the last point."""
 
 
-def joined(legs: Sequence[Leg], largest_step: float) -> Way:
-    """Return the way along legs one after the other."""
+def joined(legs: Sequence[Leg], largest_step: float) -> JointPath:
+    """Return the path along legs one after the other."""
     points = []
     pauses = []
     for leg in legs:
@@ -115,7 +115,7 @@ def joined(legs: Sequence[Leg], largest_step: float) -> Way:
         pause[-1] = leg.pause
         pauses.append(pause)
     tolerance = np.concatenate([leg.tolerance for leg in legs])
-    return Way(
+    return JointPath(
         np.concatenate(points, axis=1), largest_step, tolerance, np.concatenate(pauses)
     )
 
@@ -124,11 +124,11 @@ class LiftGuide(Guide):
     """Moves around other objects to a grasp, closes the fingers, and lifts.
 
     Of several grasps of the object, which differ by a tilt about the fingers' axis, a turn about
-    the vertical and half a turn of the gripper, it takes the one with the shortest way on which the
-    arm touches nothing. Where there is none, it takes the shortest way.
+    the vertical and half a turn of the gripper, it takes the one with the shortest path on which
+    the arm touches nothing. Where there is none, it takes the shortest path.
 
     Attributes:
-        is_free: which episodes of the last `way` have one on which the arm touches nothing, (n,).
+        is_free: which episodes of the last `path` have one on which the arm touches nothing, (n,).
     """
 
     moves_fingers = True
@@ -142,8 +142,8 @@ class LiftGuide(Guide):
         self._solver = InverseKinematics(self._arm, starts=4, seed=self._seed)
         self._follower = InverseKinematics(self._arm, starts=1, seed=self._seed)
 
-    def way(self, sight: Sight) -> Way:
-        """Solve the way of every episode."""
+    def path(self, sight: Sight) -> JointPath:
+        """Solve the path of every episode."""
         surroundings = Surroundings(self._lifting, sight)
         n = len(sight.position)
         start = sight.joints[:, :-1]
@@ -154,7 +154,7 @@ class LiftGuide(Guide):
             if poses is None:
                 poses = candidate.poses.copy()
             ids = candidate.ids
-            path = self._path(start[ids], candidate.poses)
+            path = self._path_through(start[ids], candidate.poses)
             is_free = candidate.is_reached & surroundings.are_free(
                 ids, path[:, ::-1], candidate.closed
             )
@@ -163,7 +163,7 @@ class LiftGuide(Guide):
             closed[chosen] = candidate.closed
             self.is_free[chosen] = True
         assert poses is not None
-        path = self._path(start, poses)
+        path = self._path_through(start, poses)
         grasp = path[:, -1]
         fingers = closed * self._closed_m
         tolerance = np.full(path.shape[1], TO_APPROACH)
@@ -183,7 +183,7 @@ class LiftGuide(Guide):
         grasp = path[:, -1]
         position, matrix = self._follower.pose(grasp)
         shifts = np.outer(RISE_M, [0.0, 0.0, 1.0])
-        rise = self._follower.solve_way(position, matrix, grasp, shifts)
+        rise = self._follower.solve_path(position, matrix, grasp, shifts)
         return [self._moving(rise, self._closed_m)]
 
     def _standing(self, joints: Floats, fingers: float, pause: int) -> Leg:
@@ -197,7 +197,7 @@ class LiftGuide(Guide):
         return Leg(points, np.full(len(points), fingers), tolerance, 0)
 
     def _candidates(self, sight: Sight) -> Iterator[Candidate]:
-        """Yield ways for the episodes without a free one yet, first one for each."""
+        """Yield paths for the episodes without a free one yet, first one for each."""
         for turns in TRIED:
             ids = np.flatnonzero(~self.is_free)
             if not len(ids):
@@ -233,15 +233,15 @@ class LiftGuide(Guide):
         matrix: Floats,
         cost: Floats,
     ) -> Iterator[Candidate]:
-        """Yield ways to a grasp at joint angles (k, A) for those of k episodes that need one."""
+        """Yield paths to a grasp at joint angles (k, A) for those of k episodes that need one."""
         back = -matrix.reshape(-1, 3, 3)[:, :, 2]
         up = np.array([0.0, 0.0, 1.0])
         shifts = [distance * back for distance in reversed(BACK_M)]
         shifts += [BACK_M[0] * back + height * up for height in reversed(OVER_M)]
-        way = self._follower.solve_way(
+        approach = self._follower.solve_path(
             sight.position[ids], matrix, joints, np.stack(shifts)
         )
-        poses = np.concatenate([way[:, ::-1], joints[:, None]], axis=1)
+        poses = np.concatenate([approach[:, ::-1], joints[:, None]], axis=1)
         straight = poses[:, len(OVER_M) :]
         jumps = np.abs(np.diff(straight, axis=1)).max(axis=(1, 2))
         turns_over = jumps > MOST_STEPS * self._largest
@@ -253,12 +253,12 @@ class LiftGuide(Guide):
             if len(lowered):
                 yield Candidate(ids[is_open], lowered, closed, is_reached[is_open])
 
-    def _path(self, start: Floats, poses: Floats) -> Floats:
+    def _path_through(self, start: Floats, poses: Floats) -> Floats:
         """Return joint angles from the start (k, A) to the poses and along them, (k, W, A)."""
-        way = poses[:, 0] - start
-        steps = int(np.ceil(np.abs(way).max() / self._largest))
+        change = poses[:, 0] - start
+        steps = int(np.ceil(np.abs(change).max() / self._largest))
         share = np.linspace(0.0, 1.0, steps, endpoint=False)[:, None]
-        before = start[:, None] + share * way[:, None]
+        before = start[:, None] + share * change[:, None]
         return np.concatenate([before, poses], axis=1)
 
 

@@ -141,7 +141,7 @@ class Lift(Skill):
         return LiftTeacher(state)
 
     def guide(self, straight: bool) -> type[LiftGuide]:
-        """Return what finds a way between other objects; all end straight."""
+        """Return what finds a path between other objects; all end straight."""
         return LiftGuide
 
     def memory(self, num_envs: int) -> NamedArrays:

@@ -29,7 +29,7 @@ LIFT_M = 0.10  # Way of the gripper upwards
 LIFTED_M = 0.08  # Rise of the object's centre of mass from which it is lifted
 # Way of the object before the fingers close from which it counts as pushed
 MOVED_M = 0.02
-WAYPOINTS = 5  # Poses of the way upwards
+WAYPOINTS = 5  # Poses of the path upwards
 
 OUTCOMES = {
     "lifted": "it rose by 8 cm and was between the pads to the end",
@@ -106,7 +106,7 @@ def plan_lifts(scene: Scene, joints: Floats) -> Floats:
     position, matrix = solver.pose(joints)
     heights = np.linspace(0.0, LIFT_M, WAYPOINTS + 1)[1:]
     shifts = np.outer(heights, [0.0, 0.0, 1.0])
-    return solver.solve_way(position, matrix, joints, shifts)
+    return solver.solve_path(position, matrix, joints, shifts)
 
 
 def build_trial_scene(robot: Robot, targets: Sequence[Target]) -> LiftScene:
@@ -156,10 +156,10 @@ class LiftTrial:
             np.pad(path, ((0, steps - len(path)), (0, 0)), mode="edge")
             for path in paths
         ]
-        ways = np.stack(whole, axis=1)
-        simulator.reset(np.arange(len(paths)), _beside(ways[0], fingers), positions)
+        poses = np.stack(whole, axis=1)
+        simulator.reset(np.arange(len(paths)), _beside(poses[0], fingers), positions)
         placed = simulator.centre(first)
-        for arm in ways:
+        for arm in poses:
             simulator.step(_beside(arm, fingers))
             yield "approach"
         before = simulator.centre(first)
@@ -170,12 +170,12 @@ class LiftTrial:
             yield "close"
         self._touched = simulator.touched(first)
         gripper = simulator.tcp_position[:, 2].copy()
-        way = np.concatenate([arm[:, None], upward], axis=1)
+        rise = np.concatenate([arm[:, None], upward], axis=1)
         for step in range(LIFT_STEPS):
             at = (step + 1) * WAYPOINTS / LIFT_STEPS
             low = min(int(at), WAYPOINTS - 1)
             share = at - low
-            arm = (1 - share) * way[:, low] + share * way[:, low + 1]
+            arm = (1 - share) * rise[:, low] + share * rise[:, low + 1]
             simulator.step(_beside(arm, fingers))
             yield "lift"
         self._held = simulator.touched(first)

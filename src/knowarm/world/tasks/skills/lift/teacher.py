@@ -22,12 +22,12 @@ from knowarm.world.tasks.state import EpisodeState
 # Distances of the poses of the approach from the grasp frame
 APPROACH_M = (0.035, 0.07)
 OVER_M = 0.05  # Height of the first pose above the start of the approach
-RISE_M = (0.04, 0.08, 0.12)  # Heights of the poses of the way upwards
+RISE_M = (0.04, 0.08, 0.12)  # Heights of the poses of the path upwards
 POINTS = 6  # Points between two poses
 AHEAD = 4  # Points from the one that is passed to the one that is aimed at
 PASSED = (1.0, 0.6)
 """Largest error of a joint at which the first and the last point are passed [largest steps]."""
-LOST = 4.0  # Error at every point from which the way starts again at its first [largest steps]
+LOST = 4.0  # Error at every point from which the path starts again at its first [largest steps]
 CLOSE_M = 0.025
 CLOSE_DEG = 12.0
 """Largest distance and angle to the grasp frame at which fingers close; an arm of small steps has
@@ -44,7 +44,7 @@ class LiftTeacher(Teacher):
 
     What it does depends on the state alone: with open fingers it follows the poses of the approach
     from the furthest that is passed, at the last one it closes them, and as soon as both touch the
-    object it follows the poses of the way upwards. Fingers that close on nothing open again.
+    object it follows the poses of the path upwards. Fingers that close on nothing open again.
     """
 
     def __init__(self, state: EpisodeState[LiftSimulator]) -> None:

@@ -1,4 +1,4 @@
-"""Guide of placing: after the grip, a way for arm and object to the tray, and back without it."""
+"""Guide of placing: after the grip, a path for arm and object to the tray, and back without it."""
 
 from itertools import product
 
@@ -23,11 +23,11 @@ from knowarm.world.tasks.state import Frames
 CARRY_M = (0.10, 0.18, 0.28)  # Heights above the support at which the object is carried
 RELEASE_M = 0.004  # Height above the tray at which it is let go
 TURNS_DEG = (0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180)
-"""Turns of the object about the vertical on the way to the tray."""
+"""Turns of the object about the vertical on the path to the tray."""
 
-RISE = np.array([1.0, 2.0, 3.0]) / 3  # Shares of that height on the way up
+RISE = np.array([1.0, 2.0, 3.0]) / 3  # Shares of that height on the path up
 LOWER = np.array([0.0, 0.1, 0.3, 0.6, 1.0])  # The same over the tray, from below
-AWAY_M = 0.10  # Way upwards after the gripper has left the object
+AWAY_M = 0.10  # Path upwards after the gripper has left the object
 UNREACHED = 1000.0  # Cost of a pose over the tray that the arm does not reach [steps]
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -35,8 +35,8 @@ UP = np.array([0.0, 0.0, 1.0])
 class PlaceGuide(LiftGuide):
     """Takes an object as `LiftGuide`, carries it to the tray, lets it go and leaves.
 
-    It tries turns of the object, those with the shortest way first, each at several heights, and
-    takes the first way on which arm and object touch nothing; where there is none, the first.
+    It tries turns of the object, those with the shortest path first, each at several heights, and
+    takes the first path on which arm and object touch nothing; where there is none, the first.
     """
 
     def _after_grip(
@@ -64,10 +64,12 @@ class PlaceGuide(LiftGuide):
             down = self._vertical(
                 position[turn], matrix[turn], joints[turn], height * LOWER
             )[:, ::-1]
-            carry = np.concatenate([up, self._path(up[:, -1], down[:, :-1])], axis=1)
+            carry = np.concatenate(
+                [up, self._path_through(up[:, -1], down[:, :-1])], axis=1
+            )
             is_good = cost[turn] < UNREACHED
             is_good &= surroundings.are_free(ids, carry, 0.0)
-            # Where no way turns out to be free, the first one stays.
+            # Where no path turns out to be free, the first one stays.
             is_taken = is_good | is_first
             rise[ids[is_taken]] = up[is_taken]
             lower[ids[is_taken]] = down[is_taken]
@@ -92,7 +94,7 @@ class PlaceGuide(LiftGuide):
         assert sight.destination is not None
         above = np.full(len(grasp), THICK_M + RELEASE_M)
         tray = np.column_stack([sight.destination, above])
-        ways = []
+        poses = []
         for degrees in TURNS_DEG:
             turn = rotation(2, degrees)
             goal = tray + offset @ turn.T
@@ -101,8 +103,8 @@ class PlaceGuide(LiftGuide):
             steps = np.abs(solution.joints - grasp).max(axis=1) / self._largest
             is_reached = solution.within(REACHED_M, REACHED_DEG)
             cost = np.where(is_reached, steps, UNREACHED)
-            ways.append((solution.joints, goal, goal_matrix, cost))
-        joints, positions, matrices, costs = map(np.stack, zip(*ways, strict=True))
+            poses.append((solution.joints, goal, goal_matrix, cost))
+        joints, positions, matrices, costs = map(np.stack, zip(*poses, strict=True))
         return joints, (positions, matrices), costs
 
     def _vertical(
@@ -110,7 +112,7 @@ class PlaceGuide(LiftGuide):
     ) -> Floats:
         """Solve for heights above a pose (k,), one after the other, (k, W, A)."""
         shifts = np.outer(heights, UP)
-        return self._follower.solve_way(position, matrix, joints, shifts)
+        return self._follower.solve_path(position, matrix, joints, shifts)
 
     def _legs(self, rise: Floats, lower: Floats) -> list[Leg]:
         """Return the legs from rising (n, W, A) to lowering (n, V, A), letting go and leaving."""
@@ -122,10 +124,10 @@ class PlaceGuide(LiftGuide):
         back = -matrix.reshape(-1, 3, 3)[:, :, 2]
         shifts = [distance * back for distance in reversed(BACK_M)]
         shifts.append(shifts[-1] + AWAY_M * UP)
-        leave = self._follower.solve_way(position, matrix, released, np.stack(shifts))
+        leave = self._follower.solve_path(position, matrix, released, np.stack(shifts))
         return [
             self._moving(rise, closed),
-            self._moving(self._path(rise[:, -1], lower[:, :1]), closed),
+            self._moving(self._path_through(rise[:, -1], lower[:, :1]), closed),
             Leg(lower, np.full(n, closed), careful, SETTLE_STEPS),
             self._standing(released, 0.0, GRIP_STEPS),
             self._moving(leave, 0.0),
@@ -133,7 +135,7 @@ class PlaceGuide(LiftGuide):
 
 
 class ReturningGuide(PlaceGuide):
-    """Places as `PlaceGuide`, then goes back on the way that it came, to where it started."""
+    """Places as `PlaceGuide`, then goes back on the same path to where it started."""
 
     def _after_grip(
         self, sight: Sight, path: Floats, surroundings: Surroundings
@@ -141,7 +143,7 @@ class ReturningGuide(PlaceGuide):
         """Add the leg back."""
         legs = super()._after_grip(sight, path, surroundings)
         # Without the straight approach and the grasp
-        way_there = path[:, : -len(BACK_M) - 1]
+        path_there = path[:, : -len(BACK_M) - 1]
         beside_tray = legs[-1].points[:, -1]
-        way_back = self._path(beside_tray, way_there[:, ::-1])
-        return [*legs, self._moving(way_back, 0.0)]
+        path_back = self._path_through(beside_tray, path_there[:, ::-1])
+        return [*legs, self._moving(path_back, 0.0)]
