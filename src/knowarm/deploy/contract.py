@@ -62,7 +62,7 @@ class Deployment:
     recognition: nn.Module | None
     """Network that computes the knowledge from the first image and a query, or None."""
     knowledge: NDArray[np.float32]
-    """Knowledge table, or table of queries for the recognition network, (rows, width)."""
+    """Knowledge table, or table of queries for the grounding network, (rows, width)."""
     contract: Description
     scene: Scene
 

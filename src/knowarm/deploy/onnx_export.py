@@ -1,4 +1,4 @@
-"""ONNX export of one step of a policy, and of its recognition network."""
+"""ONNX export of one step of a policy, and of its grounding network."""
 
 import logging
 import warnings

@@ -1,4 +1,4 @@
-"""Hugging Face Hub: share trained policies, recognition networks and packed studies.
+"""Hugging Face Hub: share trained policies, grounding networks and packed studies.
 
 A repository holds what a folder of ``zoo/`` holds: the files that `load_agent` reads, the stored
 evaluations, and a model card.
