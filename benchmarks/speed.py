@@ -18,7 +18,6 @@ import tyro
 from torch.utils.flop_counter import FlopCounterMode
 
 from knowarm.cli.tables import check_output, print_table, write_json_table
-from knowarm.config import LEAST, MOST_INT, within
 from knowarm.cores import available_cores, processor, torch_threads
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.knows import NoKnowledge
@@ -27,6 +26,7 @@ from knowarm.experiment.run import build, make_trainer
 from knowarm.learn import A3CConfig, DistilConfig, Hooks, Metrics
 from knowarm.learn.algorithms import MinibatchConfig
 from knowarm.learn.optimizer import PolicyOptimizer
+from knowarm.ranges import LEAST, MOST_INT, within
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.state import ACTION_LEVELS

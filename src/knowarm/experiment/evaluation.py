@@ -6,13 +6,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from knowarm.config import (
-    MOST_INT,
-    check_values,
-    file_name,
-    registered,
-    within,
-)
+from knowarm.config import check_values, file_name, registered
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.knows import Reasoning, read_known_graph
@@ -39,6 +33,7 @@ from knowarm.knowledge.queries.splits import Split
 from knowarm.measures import Columns
 from knowarm.perception.config import LEVEL, Unclear
 from knowarm.questions import Query
+from knowarm.ranges import MOST_INT, within
 from knowarm.seeding import derive_seed
 from knowarm.world.config import EnvConfig, facets_of
 from knowarm.world.robots.robot import Robot

@@ -5,8 +5,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from knowarm.config import MOST_FLOAT, check_values, within
+from knowarm.config import check_values
 from knowarm.errors import UserError
+from knowarm.ranges import MOST_FLOAT, within
 
 PRIVILEGED_OPTIONS = {
     "critic": "critic",

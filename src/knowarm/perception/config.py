@@ -5,10 +5,11 @@ from dataclasses import dataclass
 from itertools import compress
 from typing import Literal
 
-from knowarm.config import MOST_INT, check_values, within
+from knowarm.config import check_values
 from knowarm.errors import UserError
 from knowarm.perception.looks import look_of
 from knowarm.questions import ObjectColour
+from knowarm.ranges import MOST_INT, within
 from knowarm.world.config import EnvConfig, facets_of, questions_of, scene_of
 
 Unclear = Literal["guess", "seen", "stop", "ask"]

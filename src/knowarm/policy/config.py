@@ -5,8 +5,9 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Literal
 
-from knowarm.config import check_values, within
+from knowarm.config import check_values
 from knowarm.errors import Argument, UserError, unknown_name
+from knowarm.ranges import within
 
 if TYPE_CHECKING:
     from knowarm.policy.fusion import Fusion, Layer

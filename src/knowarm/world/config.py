@@ -5,9 +5,10 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Literal
 
-from knowarm.config import check_values, within
+from knowarm.config import check_values
 from knowarm.errors import Argument, UserError
 from knowarm.questions import QuestionTable
+from knowarm.ranges import within
 from knowarm.world.objects import find_targets
 from knowarm.world.robots import DEFAULT_ROBOT, find_robot
 from knowarm.world.robots.robot import Robot

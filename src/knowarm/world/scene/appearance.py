@@ -10,7 +10,7 @@ from numpy.linalg import norm
 from scipy.spatial.transform import Rotation
 
 from knowarm.arrays import Floats, Floats32, Integers
-from knowarm.config import within
+from knowarm.ranges import within
 from knowarm.world.scene.scene import Scene
 
 MAX_DISTRACTORS = 4

@@ -7,10 +7,11 @@ from typing import Any, ClassVar, Literal, Self
 import numpy as np
 
 from knowarm.arrays import Floats, Integers
-from knowarm.config import check_values, override, within
+from knowarm.config import check_values, override
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.measures import Measure
 from knowarm.questions import AND, QuestionTable
+from knowarm.ranges import within
 from knowarm.world.tasks.asked.asked import Asking
 from knowarm.world.tasks.asked.query.arrangements import SeveralObjects
 from knowarm.world.tasks.asked.query.query_source import (

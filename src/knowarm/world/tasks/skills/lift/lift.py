@@ -8,8 +8,9 @@ import numpy as np
 from numpy.linalg import norm
 
 from knowarm.arrays import Floats, Integers, Mask
-from knowarm.config import LEAST, check_values, within
+from knowarm.config import check_values
 from knowarm.errors import UserError
+from knowarm.ranges import LEAST, within
 from knowarm.world.backend import Dynamics
 from knowarm.world.objects.target import Target
 from knowarm.world.robots import ROBOTS
