@@ -1,9 +1,9 @@
-"""Parsing of the command line: groups of commands, and options."""
+"""Parsing and help of the options of commands."""
 
 import re
 import sys
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import suppress
 from copy import copy
 from dataclasses import MISSING, field, fields, is_dataclass, make_dataclass
@@ -41,7 +41,7 @@ from tyro.constructors import (
     PrimitiveTypeInfo,
 )
 
-from knowarm.config import TAGS, check_values
+from knowarm.config import TAGS
 from knowarm.errors import UserError, unknown_name
 from knowarm.experiment import algorithms
 from knowarm.reading import read_text
@@ -209,39 +209,6 @@ def _fields(shape: Any) -> Iterator[tuple[str, Any, Any]]:
         elif option.default is not MISSING:
             value = option.default
         yield name, types[name], value
-
-
-def parse_command(command: Any, prog: str, about: str, arguments: Sequence[str]) -> Any:
-    """Make a command from the words after its name ``prog``; ``about`` is the help of a group.
-
-    ``command`` is a dataclass whose fields are the options, which may have a method ``parse``, or a
-    group of these by name.
-    """
-    if isinstance(command, type):
-        parse = getattr(command, "parse", partial(parse_options, command))
-        made = parse(prog, arguments)
-        check_values(made, where=prog.split()[-1])
-        return made
-    name, *words = arguments or ["--help"]
-    if name in HELP:
-        summaries = {}
-        for name, member in command.items():
-            summaries[name] = (member.__doc__ or "").partition("\n")[0]
-        print(group_help(prog, about, summaries))
-        sys.exit(0)
-    if name not in command:
-        raise unknown_name(f"{prog.split()[-1]} command", name, command)
-    return parse_command(command[name], f"{prog} {name}", "", words)
-
-
-def group_help(prog: str, about: str, commands: Mapping[str, str]) -> str:
-    """Return the help text of a group of commands with their summaries."""
-    width = max(map(len, commands))
-    lines = [f"usage: {prog} COMMAND [ARGUMENTS]", "", about, "", "commands:"]
-    for name, summary in commands.items():
-        lines.append(f"  {name:<{width}}  {summary}")
-    lines += ["", f"`{prog} COMMAND --help` shows a command's arguments."]
-    return "\n".join(lines)
 
 
 def answer_help(

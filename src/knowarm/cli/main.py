@@ -8,13 +8,14 @@ import os
 import shlex
 import sys
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from importlib import import_module
 from importlib.metadata import version
 from typing import Any
 
-from knowarm.cli.arguments import OWN, group_help, parse_command, take_option
+from knowarm.cli.arguments import HELP, OWN, parse_options, take_option
+from knowarm.config import check_values
 from knowarm.errors import Argument, DataWarning, UserError, printable, unknown_name
 from knowarm.private_apis import end_process
 from knowarm.reading import one_line
@@ -113,7 +114,7 @@ def _run_command(arguments: list[str]) -> int:
         if not arguments or arguments[0] in ("-h", "--help", "help"):
             about = "Deep reinforcement learning of robot-arm policies with knowledge graphs."
             summaries = {name: what for name, (_, what) in ALL.items()}
-            print(group_help("knowarm", about, summaries))
+            print(_group_help("knowarm", about, summaries))
         elif arguments[0] in ("--version", "version"):
             print(f"knowarm {version('knowarm')}")
         else:
@@ -196,9 +197,42 @@ def _parse(name: str, arguments: list[str]) -> Any:
             register(import_path)
     command = find_command(name)
     _, about = ALL[name]
-    return parse_command(
+    return _make_command(
         command, f"knowarm {name}", f"{about[0].upper()}{about[1:]}.", arguments
     )
+
+
+def _make_command(command: Any, prog: str, about: str, arguments: Sequence[str]) -> Any:
+    """Make a command from the words after its name ``prog``; ``about`` is the help of a group.
+
+    ``command`` is a dataclass whose fields are the options, which may have a method ``parse``, or a
+    group of these by name.
+    """
+    if isinstance(command, type):
+        parse = getattr(command, "parse", partial(parse_options, command))
+        made = parse(prog, arguments)
+        check_values(made, where=prog.split()[-1])
+        return made
+    name, *words = arguments or ["--help"]
+    if name in HELP:
+        summaries = {}
+        for name, member in command.items():
+            summaries[name] = (member.__doc__ or "").partition("\n")[0]
+        print(_group_help(prog, about, summaries))
+        sys.exit(0)
+    if name not in command:
+        raise unknown_name(f"{prog.split()[-1]} command", name, command)
+    return _make_command(command[name], f"{prog} {name}", "", words)
+
+
+def _group_help(prog: str, about: str, commands: Mapping[str, str]) -> str:
+    """Return the help text of a group of commands with their summaries."""
+    width = max(map(len, commands))
+    lines = [f"usage: {prog} COMMAND [ARGUMENTS]", "", about, "", "commands:"]
+    for name, summary in commands.items():
+        lines.append(f"  {name:<{width}}  {summary}")
+    lines += ["", f"`{prog} COMMAND --help` shows a command's arguments."]
+    return "\n".join(lines)
 
 
 def find_command(name: str) -> Any:
