@@ -229,8 +229,18 @@ def test_list_shows_one_kind_only(capsys):
             ["--knows.detail partial"],
         ),
         (["ask"], ["Give a question: knowarm ask 'something to drink from'"]),
+        (
+            ["ask", "--edit", "- mug usedFor tea", "usedFor drinking"],
+            ["Give a question, before --edit and --names", "knowarm ask 'something"],
+        ),
         (["study", "unpack", "kitchen.csv"], ["no pack of a study"]),
         (["train", "full-fast", "--env.robot", "arm.urdf"], ["is a model file"]),
+        (
+            ["doctor", "--robot", "arn.urdf"],
+            ["there is no such file. Correct the path"],
+        ),
+        (["view", "arn.urdf"], ["There is no file 'arn.urdf'. Give the path"]),
+        (["record", "zero"], ["Missing from knowarm record: --to DIR. `knowarm rec"]),
         (["knowledge", "shwo"], ["'show'"]),
         (["knowledge", "show", "--objects", "mgu"], ["mgu", "mug"]),
         (
@@ -286,6 +296,7 @@ def test_mistakes_end_in_one_line_and_code_2(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "kitchen.csv").write_text("mug,usedFor,drinking\n")
     (tmp_path / "empty.csv").write_text("")
+    (tmp_path / "arm.urdf").write_text("<robot/>")
     (tmp_path / "runs" / "X" / "0").mkdir(parents=True)
     (tmp_path / "runs" / "X" / "0" / "config.json").write_text("{}")
     before = sorted(tmp_path.rglob("*"))

@@ -401,7 +401,7 @@ def test_other_addresses_need_a_key(parts, capsys, monkeypatch):
     monkeypatch.delenv("KNOWARM_SERVE_KEY", raising=False)
     run = str(ZOO / "irb120-full-fast")
     assert main(["serve", run, "--host", "0.0.0.0", "--port", "0"]) == 2
-    assert "key" in capsys.readouterr().err
+    assert "from the variable KNOWARM_SERVE_KEY" in capsys.readouterr().err
 
 
 WRONG_KEYS = [

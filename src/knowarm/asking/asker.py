@@ -67,7 +67,7 @@ class Asker:
         if trained.network is None:
             raise UserError(
                 f"The agent {trained.config.agent!r} has no grounding network, which finds "
-                "answers in the image. Ask a run such as zoo/irb120-choose-subgraph-fast."
+                "answers in the image. Ask a run such as zoo/irb120-choose-answers-fast."
             )
         self.trained = trained
         self._spec = trained.network.spec

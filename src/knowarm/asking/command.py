@@ -33,7 +33,7 @@ class Ask(TableCommand):
     """Ask a trained agent: the graph answers, the network finds the answer, the arm goes there."""
 
     agent: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="[RUN]")] = ""
-    """A run of the choose task with a grounding network, e.g. zoo/irb120-choose-subgraph-fast.
+    """A run of the choose task with a grounding network, e.g. zoo/irb120-choose-answers-fast.
     Default: the policy that the package holds."""
     question: Annotated[
         tyro.conf.Positional[str], tyro.conf.arg(metavar="[QUESTION]")
@@ -81,7 +81,10 @@ class Ask(TableCommand):
             run = PACKAGED
         if not question and not self.browser:
             words = filter(None, (self.agent, "something to drink from"))
-            raise UserError(f"Give a question: {shell_command('ask', *words)}")
+            where = ""
+            if self.edit or self.names:
+                where = ", before --edit and --names, which take every word after them"
+            raise UserError(f"Give a question{where}: {shell_command('ask', *words)}")
         if self.browser and self.page is not None:
             raise UserError(
                 "--browser serves a page and writes none: leave out --page."

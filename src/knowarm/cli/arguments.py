@@ -144,8 +144,8 @@ def _refuse(shape: Any, event: parse_errors.ParseErrorEvent) -> None:
             unknown = ", ".join(event.tokens)
             problem = f"Unrecognized options: {unknown}.{_near(shape, event.tokens)}"
         case parse_errors.MissingArgs():
-            missing = [part.arg.lowered.metavar for part in event.missing_arguments]
-            problem = f"Missing from {event.prog}: {', '.join(map(str, missing))}."
+            missing = ", ".join(_as_typed(part.arg) for part in event.missing_arguments)
+            problem = f"Missing from {event.prog}: {missing}."
         case parse_errors.BadValue(reason="too_few_values"):
             problem = f"Missing value of {event.argument.display_name()}."
         case parse_errors.InstantiationFailure():
@@ -156,6 +156,14 @@ def _refuse(shape: Any, event: parse_errors.ParseErrorEvent) -> None:
         case _:
             return
     raise UserError(f"{problem} `{event.prog} --help` shows the arguments.") from None
+
+
+def _as_typed(argument: Any) -> str:
+    """Return an argument as a command line gives it, such as ``RUN`` or ``--to DIR``."""
+    value = str(argument.lowered.metavar)
+    if argument.is_positional():
+        return value
+    return f"{argument.display_name()} {value}"
 
 
 def _in_words(message: str) -> str:

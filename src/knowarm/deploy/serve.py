@@ -106,8 +106,9 @@ class PolicyServer:
         self._is_local = host in LOOPBACK
         if key is None and not self._is_local:
             raise UserError(
-                f"Other machines may reach {host}: give a key, or serve on 127.0.0.1 and let "
-                "clients connect through SSH."
+                f"Other machines may reach {host}: give a key of at least 16 characters, which "
+                "`knowarm serve` reads from the variable KNOWARM_SERVE_KEY, or serve on 127.0.0.1 "
+                "and let clients connect through SSH."
             )
         if key is not None and not KEY.fullmatch(key):
             raise UserError(

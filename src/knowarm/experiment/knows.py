@@ -287,7 +287,7 @@ def reason_by(knows: Knows, reasoning: Reasoning | None, agent: str) -> Knows:
     if not isinstance(knows, Grounded):
         raise UserError(
             f"The agent {agent!r} has no grounding network, so reasoning cannot be chosen. "
-            "Leave reasoning out, or take a run such as zoo/irb120-choose-subgraph-fast."
+            "Leave reasoning out, or take a run such as zoo/irb120-choose-answers-fast."
         )
     return replace(knows, kind="grounded" if reasoning == "vector" else "answers")
 

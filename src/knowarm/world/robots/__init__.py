@@ -41,6 +41,11 @@ def unknown_robot(name: str) -> UserError:
     """Return the error for a name or file that is no robot."""
     if not Path(name).suffix and not Path(name).is_file():
         return unknown_name("robot", name, [*ROBOTS, *KNOWN_ARMS])
+    if not Path(name).exists():
+        return UserError(
+            f"There is no file {name!r}. Give the path of a robot's {SUFFIX} file, or a name that "
+            "`knowarm list robots` shows."
+        )
     if name.lower().endswith((".xml", ".mjcf", ".urdf", ".xacro")):
         return UserError(
             f"{name!r} is a model file. Draft a description of it, and name that instead: "

@@ -39,12 +39,7 @@ def read_mjcf(path: Path, owner: str, xml: str | None = None) -> MjSpec:
     """Read an MJCF file, or its text; messages name the owner of it ("Robot 'irb120'")."""
     if xml is not None:
         return MjSpec.from_string(xml)
-    if path.suffix in (".urdf", ".xacro"):
-        raise UserError(
-            f"{owner}: mjcf is {str(path)!r}, which is no MJCF file. Convert it: "
-            f"{shell_command('doctor', '--robot', path, '--write', 'ROBOT.toml')}"
-        )
-    remedy = ""
+    remedy = " Correct the path; that of a TOML file starts from its folder."
     if path.is_relative_to(menagerie_folder()):
         remedy = f" To get it: {HOW_TO_GET}."
     with reading(path, "Give the path of an MJCF file."):
@@ -52,6 +47,11 @@ def read_mjcf(path: Path, owner: str, xml: str | None = None) -> MjSpec:
             raise UserError(
                 f"{owner}: mjcf is {str(path)!r}, and there is no such file.{remedy}"
             )
+    if path.suffix in (".urdf", ".xacro"):
+        raise UserError(
+            f"{owner}: mjcf is {str(path)!r}, which is no MJCF file. Convert it: "
+            f"{shell_command('doctor', '--robot', path, '--write', 'ROBOT.toml')}"
+        )
     try:
         if not path.is_relative_to(PACKAGE):
             fenced(_compile, path)
