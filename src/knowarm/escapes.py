@@ -5,10 +5,10 @@ import re
 from knowarm.errors import printable
 
 _FORMULA = re.compile(
-    r"(^|[,;|\t\r\n])([\s\xad\ufeff\u200b-\u200f\u202a-\u202e\u2060-\u2064]*)"
-    r"(?=[=+\-@\uff1d\uff0b\uff0d\uff20])"
+    r"(^|[,;|\t\r\n])([^\w\t\r\n!-/:-@\[-`{-~]*)(?=[=+\-@\uff1d\uff0b\uff0d\uff20])"
 )
-"""Where a spreadsheet begins a cell, also with another separator than the comma, and a formula."""
+"""Where a spreadsheet begins a cell, also with another separator than the comma, and a formula,
+perhaps behind what is neither seen nor read."""
 _NUMBER = re.compile(r"[-+]?[0-9.]+(e[-+]?[0-9]+)?")
 _MARKDOWN = re.compile(r"[\\`*_\[\]<>!|&~$\"']")
 

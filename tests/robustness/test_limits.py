@@ -5,6 +5,7 @@ import io
 import os
 import re
 import threading
+import time
 import zipfile
 
 import pytest
@@ -92,6 +93,14 @@ def test_a_query_that_is_taken_for_a_harmless_one_opens_no_connection(
 )
 def test_names_and_strings_are_no_remote_data(query):
     assert sparql(household(), query).rows == ()
+
+
+@pytest.mark.parametrize("text", ["service" * 600, "a" * 30_000, "base <" * 20_000])
+def test_what_is_read_of_a_long_query_before_its_limits_takes_seconds(text):
+    begin = time.process_time()
+    with pytest.raises(UserError, match="SPARQL query"):
+        sparql(household(), text)
+    assert time.process_time() - begin < 5
 
 
 def test_a_json_ld_context_is_not_fetched(server, tmp_path):

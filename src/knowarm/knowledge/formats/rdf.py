@@ -76,7 +76,9 @@ TERSE = (RdfFormat.TURTLE, RdfFormat.TRIG, RdfFormat.N3)
 
 
 NESTED = (RdfFormat.JSON_LD, RdfFormat.RDF_XML)
-"""Syntaxes that are parsed with limits of time and stack first."""
+"""Syntaxes that nest; their files are parsed with limits of time and stack first."""
+TRIPLE_TERM = b"<<"
+"""Begins a triple within a triple in the other syntaxes, which nest in nothing else."""
 CONFIDENCES = frozenset(
     map(name_key, ("confidence", "probability", "certainty", "weight"))
 )
@@ -106,7 +108,7 @@ def read_rdf(path: Path, syntax: RdfFormat) -> KnowledgeGraph:
     """
     with reading(path, "Correct, copy or compress it again."):
         _refuse_binary(path)
-        if syntax in NESTED:
+        if syntax in NESTED or _has_triple_terms(path):
             with open_bytes(path) as file, suppress(ParserError):
                 data = file.read()
                 fenced(_parse, data, syntax, size=len(data))
@@ -165,6 +167,11 @@ def _translated(text: str, syntax: Any) -> bytes:
 
     ontology = pyhornedowl.open_ontology_from_string(text, syntax)
     return ontology.save_to_string("owl").encode()
+
+
+def _has_triple_terms(path: Path) -> bool:
+    with open_bytes(path) as file:
+        return any(TRIPLE_TERM in line for line in file)
 
 
 def _parse(data: bytes, syntax: RdfFormat) -> None:

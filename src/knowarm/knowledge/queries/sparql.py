@@ -35,19 +35,21 @@ _QUIET = (
 _IRI = r"""<(?:[^<>"{}|^`\\\0-\x20]|\\[uU])*>"""
 _QUIET_OR_IRI = re.compile(f"(?P<iri>{_IRI})|{_QUIET}", re.DOTALL)
 _REMOTE = re.compile(
-    r"([:?$@]?)[\w%-]*?(service(?=\s*(?:silent\s*)?[^\0-\x20{}]*\s*\{)|\bfrom\b(?!:))",
+    r"[:?$@][\w%-]*+|(?<![\w%-])[\w%-]*?"
+    r"(service(?=\s*+(?:silent\s*+)?+[^\0-\x20{}]*+\s*+\{)|\bfrom\b(?!:))",
     re.IGNORECASE,
 )
-"""Keywords that refer to other data; after the first group it is the name of a thing."""
+"""Names of things, and keywords that refer to other data, in the first group."""
 _PREFIX = r"(?:[^\W\d_][\w.-]*)?"
 _LOCAL = r"(?:[\w:%-]|\\.|\.(?=[\w:%.\\-]))*"
 _NAMES = re.compile(
-    rf"""\bprefix\s+(?P<declared>{_PREFIX}):\s*<(?P<iri>[^>]*)>|\bbase\s+<(?P<base>[^>]*)>|
+    rf"""\bprefix\s+(?P<declared>{_PREFIX}):\s*<(?P<iri>[^<>]*)>|\bbase\s+<(?P<base>[^<>]*)>|
+    [^\W\d_][\w.-]*+(?!:)|
     [?$@][\w-]+|_:[\w.-]+|\^\^\s*(?:{_IRI}|{_PREFIX}:{_LOCAL})|{_QUIET}|
     (?><(?P<full>[^<>"{{}}|^`\\\s]*)>|(?P<prefix>{_PREFIX}):(?P<local>{_LOCAL}))(?!\s*\()""",
     re.DOTALL | re.IGNORECASE | re.VERBOSE,
 )
-"""Declarations, and names that are neither datatypes nor functions."""
+"""Declarations, words, and names that are neither datatypes nor functions."""
 _ANY_RELATION = re.compile(
     r"""[^\s{}.]\s*[?$]\w++\s*(?=[?$_"'\[(<:\d+-]|\.\d|[^\W\d][\w.-]*:|true\b|false\b)|
     !(?!=)|\*|[\w>)]\?""",
@@ -84,9 +86,9 @@ class SparqlQuery:
 
     def __init__(self, graph: KnowledgeGraph, query: str) -> None:
         for match in _REMOTE.finditer(_keywords(query, "_")):
-            if not match[1]:
+            if match[1]:
                 raise UserError(
-                    f"SPARQL query: {match[2].upper()} refers to other data, but a query reads the "
+                    f"SPARQL query: {match[1].upper()} refers to other data, but a query reads the "
                     f"given graph only and nothing is fetched from the network. Leave it out, or "
                     f"load the other graph and unite the two first."
                 )
