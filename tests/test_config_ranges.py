@@ -149,8 +149,3 @@ def test_numbers_of_commands_have_a_range(words, capsys):
     error = capsys.readouterr().err
     assert "must be at most" in error
     assert error.count("\n") == 1
-
-
-def test_a_distance_beyond_the_arm_is_no_success():
-    with pytest.raises(UserError, match="distance_m must be at most 2 in size, got 5"):
-        EvaluationConfig(distance_m=5.0)

@@ -360,40 +360,24 @@ def test_a_mesh_that_is_no_file_is_refused_at_once(tmp_path, second):
         read_mjcf(path, "Robot 'a'")
 
 
+ENDLESS = """<ir_version: 9, opset_import: ["" : 17]>
+endless (float[n, 6] joint_targets) => (float[n, 6] a) <bool yes = {1}> {
+  a = Loop <body = body (int64 i, bool goes, float[n, 6] x) => (bool on, float[n, 6] y) {
+    on = Identity(goes)
+    y = Identity(x)
+  }> (, yes, joint_targets)
+}"""
+
+
 def test_an_onnx_file_that_computes_without_end_is_one_line(tmp_path, second):
     onnx = pytest.importorskip("onnx")
     pytest.importorskip("onnxruntime")
-    from onnx import TensorProto, helper
+    from onnx import parser
 
     from knowarm.benchmark.external import OnnxPolicy
 
-    def value(name, kind, shape):
-        return helper.make_tensor_value_info(name, kind, shape)
-
-    body = helper.make_graph(
-        [
-            helper.make_node("Identity", ["goes"], ["on"]),
-            helper.make_node("Identity", ["x"], ["y"]),
-        ],
-        "body",
-        [
-            value("i", TensorProto.INT64, []),
-            value("goes", TensorProto.BOOL, []),
-            value("x", TensorProto.FLOAT, ["n", 6]),
-        ],
-        [value("on", TensorProto.BOOL, []), value("y", TensorProto.FLOAT, ["n", 6])],
-    )
-    graph = helper.make_graph(
-        [helper.make_node("Loop", ["", "yes", "joint_targets"], ["a"], body=body)],
-        "graph",
-        [value("joint_targets", TensorProto.FLOAT, ["n", 6])],
-        [value("a", TensorProto.FLOAT, ["n", 6])],
-        [helper.make_tensor("yes", TensorProto.BOOL, [], [True])],
-    )
-    opset = helper.make_opsetid("", 17)
-    model = helper.make_model(graph, opset_imports=[opset], ir_version=9)
     path = tmp_path / "loop.onnx"
-    onnx.save(model, path)
+    onnx.save(parser.parse_model(ENDLESS), path)
     policy = OnnxPolicy(path)
     policy._state = {}
     with pytest.raises(UserError, match=r"loop\.onnx.*needs more than 1 s") as error:

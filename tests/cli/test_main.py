@@ -323,6 +323,8 @@ def test_a_mistake_ends_in_one_line_on_a_terminal_with_colours(capsys, monkeypat
     "error",
     [
         MemoryError(),
+        RuntimeError("can't allocate memory: you tried to allocate 160480360000 bytes"),
+        RuntimeError("CUDA out of memory. Tried to allocate 9.31 GiB."),
         OSError(errno.EMFILE, "Too many open files"),
         ImportError("libtorch_cpu.so: failed to map segment from shared object"),
     ],

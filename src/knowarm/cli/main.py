@@ -131,7 +131,9 @@ def _run_command(arguments: list[str]) -> int:
         if "shared object" not in str(error):
             raise
         return _fail(f"{one_line(error)}. Raise the limit of memory (ulimit -a).")
-    except MemoryError:
+    except (MemoryError, RuntimeError) as error:
+        if isinstance(error, RuntimeError) and "allocate" not in str(error):
+            raise  # no error of PyTorch for memory
         return _fail("The memory of this machine is not enough: give smaller numbers.")
     except OSError as error:  # of files, full disks, closed streams and limits
         where = str(error.filename or "The system refuses")
