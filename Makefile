@@ -10,7 +10,7 @@ PYTEST := env -u PYTHONDONTWRITEBYTECODE $(PY) -m pytest
 # Only comparisons with MuJoCo's own renderer use OpenGL; EGL needs no display.
 export MUJOCO_GL ?= egl
 
-.PHONY: help demo best test test-ray check format lint types fast-tests docs snippets torture mutate bench bench-compare clean
+.PHONY: help demo best test test-thorough test-ray check format lint types fast-tests docs snippets torture mutate bench bench-compare clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*##' Makefile | sed 's/:.*##/\t/'
@@ -37,6 +37,9 @@ best: $(VENV)/.runtime ## train and evaluate the best recipe so far in runs/best
 
 test: $(VENV)/.dev ## set up .venv, run all tests
 	$(PYTEST) -n 2 --dist worksteal --durations 25
+
+test-thorough: $(VENV)/.dev ## run all tests with full products, large samples and many kills
+	KNOWARM_TESTS_THOROUGH=1 $(PYTEST) -n 2 --dist worksteal --durations 25
 
 check: format-check lint types fast-tests ## format, lint, types and fast tests: what every commit must pass
 

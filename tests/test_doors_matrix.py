@@ -1,4 +1,8 @@
-"""Every shipped policy through every door: the same episodes give the same actions."""
+"""Every shipped policy through every door: the same episodes give the same actions.
+
+In `make test`, each policy goes through a third of the doors, and each door takes two policies: one
+that chooses and one that does not.
+"""
 
 import copy
 import pickle
@@ -22,11 +26,15 @@ from knowarm.experiment.evaluation import SplitTest
 from knowarm.experiment.zoo import POLICIES as SHIPPED
 from knowarm.world.agents.protocol import Batch
 from tests.source_tree import ROOT
+from tests.thorough import share, thorough
 
 ZOO = ROOT / "zoo"
 SEEN = sorted(name for name in SHIPPED if name.endswith("-seen"))
 """Those that see and solve need joint angles, which an observation does not hold."""
 POLICIES = sorted(SHIPPED.keys() - SEEN)
+CHOOSERS = [name for name in POLICIES if "-choose-" in name]
+OTHERS = [name for name in POLICIES if name not in CHOOSERS]
+ASKED_SEEN = [name for name in SEEN if "-choose-" in name]
 JUDGED = {"success_distance_m": 0.1, "success_angle_deg": 17.0}  # of evaluations
 
 
@@ -176,24 +184,28 @@ DOORS = {
 }
 DOORS_OF_MANY = {name: DOORS[name] for name in ("play, vector", "benchmark", "tensors")}
 """For more episodes than environments, or many side by side; single ones play them as few."""
+SHARES = 3
+OF_SHARE = {}
+"""Share of the doors of each policy: those of one share are of two robots where there are two."""
+for number, name in enumerate(CHOOSERS):
+    OF_SHARE[name] = number % SHARES
+for number, name in enumerate(OTHERS):
+    OF_SHARE[name] = (number - 1) % SHARES
+MANY = [
+    pytest.param(name, 12, marks=pytest.mark.slow(10))
+    for name in thorough((CHOOSERS[0], OTHERS[1]), POLICIES)
+]
 # Ways to a grasp have as many points as the longest of those that are solved together.
 DOORS_OF_SEEN = {
-    3: {
-        "play, copy": lambda doors: doors.played(
-            copy.deepcopy(knowarm.ArmVectorEnv(doors.config, doors.count))
-        ),
-        "play, pickled": lambda doors: doors.played(
-            copied(knowarm.ArmVectorEnv(doors.config, doors.count))
-        ),
-    },
-    12: {"benchmark": lambda doors: doors.entered()},
+    "play, copy": lambda doors: doors.played(
+        copy.deepcopy(knowarm.ArmVectorEnv(doors.config, doors.count))
+    ),
+    "play, pickled": lambda doors: doors.played(
+        copied(knowarm.ArmVectorEnv(doors.config, doors.count))
+    ),
+    "benchmark": lambda doors: doors.entered(),
 }
-"""By number of episodes; each takes seconds."""
-COUNTS_OF_SEEN = [
-    pytest.param(3, marks=pytest.mark.slow(10)),
-    pytest.param(12, marks=pytest.mark.slow(40)),
-]
-COUNTS = [3, pytest.param(12, marks=pytest.mark.slow(10))]
+"""Each takes seconds."""
 
 
 def compare(doors, others):
@@ -216,23 +228,24 @@ def same(actions, expected, door):
         np.testing.assert_array_equal(mine, theirs, err_msg=door)
 
 
-@pytest.mark.parametrize("count", COUNTS)
-@pytest.mark.parametrize("name", POLICIES)
+@pytest.mark.parametrize(("name", "count"), [*[(name, 3) for name in POLICIES], *MANY])
 def test_every_door_gives_the_actions_of_evaluate(name, count, tmp_path):
     doors = Doors(name, count)
-    expected = compare(doors, DOORS if count == 3 else DOORS_OF_MANY)
+    of_share = share(DOORS, OF_SHARE[name], SHARES)
+    few = {door: DOORS[door] for door in of_share}
+    expected = compare(doors, few if count == 3 else DOORS_OF_MANY)
     same(doors.recorded(tmp_path / "dataset"), expected, "record")
 
 
-@pytest.mark.parametrize("count", COUNTS_OF_SEEN)
+@pytest.mark.slow(20)
+@pytest.mark.parametrize("count", thorough([3], [3, 12]))
 @pytest.mark.parametrize("name", SEEN)
 def test_what_sees_and_solves_acts_alike_where_joint_angles_are_told(
     name, count, tmp_path
 ):
     doors = Doors(name, count)
-    expected = compare(doors, DOORS_OF_SEEN[count])
-    if count == 3:
-        same(doors.recorded(tmp_path / "dataset", count), expected, "record")
+    expected = compare(doors, DOORS_OF_SEEN)
+    same(doors.recorded(tmp_path / "dataset", count), expected, "record")
     env = doors.single()
     doors.trained.reset(env.reset(seed=0)[1])
     with pytest.raises(UserError, match=r"play it by `knowarm.play`") as error:
@@ -281,11 +294,15 @@ def test_environments_of_stable_baselines_give_the_same_actions(name):
     same(list(map(np.array, chosen)), expected, "SB3VecEnv")
 
 
+EXPORTED = ("irb120-choose-subgraph-fast", "irb120-full-fast", "tiago-lift-full-distil")
+"""Of each agent, robot and task one; with the policy of which six episodes are played."""
+
+
 @pytest.mark.parametrize(
     ("name", "count"),
     [
-        *[(name, 3) for name in POLICIES],
-        pytest.param(POLICIES[0], 6, marks=pytest.mark.slow(8)),
+        *[(name, 3) for name in thorough(EXPORTED, POLICIES)],
+        pytest.param(CHOOSERS[0], 6, marks=pytest.mark.slow(8)),
     ],
 )
 def test_exported_and_served_policies_give_the_same_actions(name, count, exported_zoo):
@@ -331,8 +348,13 @@ def test_exported_and_served_policies_give_the_same_actions(name, count, exporte
         server.close()
 
 
-CHOOSERS = [name for name in POLICIES if "-choose-" in name]
-ASKED_SEEN = [name for name in SEEN if "-choose-" in name]
+LEAST_RIGHT = {
+    "own": 0.8,
+    "reversed": 0.8,
+    "fewer": 0.6,  # what is new to an agent is logged
+    "two side by side": 0.85,
+    "five side by side": 0.75,
+}
 
 
 @pytest.mark.parametrize("name", CHOOSERS)
@@ -342,15 +364,15 @@ def test_an_environment_may_show_its_objects_in_another_order_fewer_and_more(nam
     shown = {facet for facet, _ in doors.trained.network.spec.facets}
     known = [target for target in config.targets if target in shown]
     some = known[::2]
-    right = {}
-    for case, changed in {
+    cases = {
         "own": {},
         "reversed": {"targets": tuple(reversed(config.targets))},
         "fewer": {"targets": tuple(some)},
         "two side by side": {"task": replace(config.task.asked, objects=2)},
         "five side by side": {"task": replace(config.task.asked, objects=5)},
-    }.items():
-        env = knowarm.ArmVectorEnv(replace(config, **changed), 40)
+    }
+    for case in share(cases, CHOOSERS.index(name), len(CHOOSERS)):
+        env = knowarm.ArmVectorEnv(replace(config, **cases[case]), 40)
         images, infos = env.reset(seed=3)
         doors.trained.reset(infos)
         goal = np.zeros(40, bool)
@@ -363,18 +385,13 @@ def test_an_environment_may_show_its_objects_in_another_order_fewer_and_more(nam
             if now.any():
                 goal[now] = infos["final_info"]["is_right_object"][now]
             ended |= now
-        right[case] = goal.mean()
-    assert right["own"] > 0.8
-    assert right["reversed"] > 0.8
-    assert right["two side by side"] > 0.85
-    assert right["five side by side"] > 0.75
-    assert right["fewer"] > 0.6  # what is new to an agent is logged
+        assert goal.mean() > LEAST_RIGHT[case], case
 
 
 @pytest.mark.parametrize(
     ("name", "count"),
     [
-        *[(name, 3) for name in CHOOSERS],
+        *[(name, 3) for name in thorough((), CHOOSERS)],
         pytest.param(CHOOSERS[0], 12, marks=pytest.mark.slow(8)),
         *[pytest.param(name, 3, marks=pytest.mark.slow(8)) for name in ASKED_SEEN],
     ],
