@@ -87,6 +87,21 @@ def test_objects_are_brought_one_after_the_other(tidying):
     assert not end.disturbed.all()
 
 
+def test_where_physics_became_unstable_nothing_stands_and_nothing_counts_as_moved(
+    tidying,
+):
+    env = tidying.env
+    simulation = env.simulation
+    simulation.batch.bind("qvel")[0, simulation._target_qvel] = 1e12
+    nothing = np.zeros(env.action_space.shape, np.int64)
+    env.advance(nothing, np.zeros(SCENES, bool))
+    assert simulation.unstable.tolist() == [True, False, False]
+    end = tidying.judge(read_graph("objects"))
+    assert not end.moved.any()
+    assert (end.stands == -1).all()
+    assert not end.is_tidy.any()
+
+
 def test_an_edit_between_two_objects_changes_the_rest_of_the_plan(tidying):
     graph = read_graph("objects")
     tidying.step()

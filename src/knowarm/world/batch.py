@@ -31,6 +31,7 @@ _INTEGRATION = int(mjtState.mjSTATE_INTEGRATION)
 """Everything that determines the following steps."""
 
 _STATES = {
+    "time": mjtState.mjSTATE_TIME,
     "qpos": mjtState.mjSTATE_QPOS,
     "qvel": mjtState.mjSTATE_QVEL,
     "ctrl": mjtState.mjSTATE_CTRL,

@@ -21,6 +21,7 @@ from knowarm.world.robots import ROBOTS
 from knowarm.world.tasks.skills.lift.lift import FALLEN_M, LOST_M, Lift
 from knowarm.world.tasks.skills.lift.model import TIMESTEP_S, build_lift_scene
 from knowarm.world.tasks.skills.lift.probe import LiftProbe
+from knowarm.world.tasks.skills.lift.simulator import FAST_M_S, FINE_SUBSTEPS
 from knowarm.world.tasks.skills.lift.teacher import LiftTeacher
 from knowarm.world.tasks.skills.teacher import COARSE_LEVELS
 
@@ -150,6 +151,51 @@ def test_rewards_rise_from_the_way_to_the_grip_to_the_lift():
         np.testing.assert_allclose(reward[held], 1 + 4 * rise[held])
         most = np.maximum(most, reward)
     assert (most == 100).sum() >= 7
+
+
+def test_a_period_that_goes_astray_is_simulated_again_in_fine_steps(monkeypatch):
+    env = make_env(count=2)
+    fine = make_env(count=2)
+    fine.simulation._free_substeps = FINE_SUBSTEPS
+    verdicts = [np.array([False, True]), np.array([False])]
+    for each in (env, fine):
+        start(each)
+    monkeypatch.setattr(env.simulation, "_is_astray", lambda ids: verdicts.pop(0))
+    actions = np.ones(env.action_space.shape, np.int64)
+    actions[:, -1] = 0
+    for each in (env, fine):
+        each.advance(actions, np.zeros(2, bool))
+    assert not verdicts
+    same = env.joint_positions == fine.joint_positions
+    assert same.all(axis=1).tolist() == [False, True]
+    assert not env.simulation.unstable.any()
+
+
+@pytest.mark.parametrize("speed", [2 * FAST_M_S, 1e12])
+def test_unstable_physics_ends_an_episode_by_its_own_name(speed, capfd):
+    env = make_env(count=3)
+    start(env)
+    simulation = env.simulation
+    simulation.batch.bind("qvel")[1, simulation._target_qvel] = speed
+    nothing = np.zeros(env.action_space.shape, np.int64)
+    _, _, terminated, _, infos = env.advance(nothing, np.zeros(3, bool))
+    assert ("unstable" in capfd.readouterr().err) == (speed == 1e12)
+    assert terminated.tolist() == [False, True, False]
+    assert infos["unstable"].tolist() == [False, True, False]
+    assert not infos["is_success"].any()
+    assert not infos["disturbed"].any()
+    skill = env.config.task.skill
+    said = skill.result(env.running, env.config.task.asked, 1)
+    assert said == "It is not lifted: the physics became unstable."
+    state = env.get_state()
+    start(env, seed=1)
+    assert not simulation.unstable.any()
+    env.set_state(state)
+    assert simulation.unstable.tolist() == [False, True, False]
+    start(env)
+    simulation.batch.bind("time")[2] = 0.0  # As after a reset that left all in place
+    _, _, terminated, _, _ = env.advance(nothing, np.zeros(3, bool))
+    assert terminated.tolist() == [False, False, True]
 
 
 def test_a_lift_has_to_last():

@@ -103,6 +103,19 @@ def test_taking_another_object_ends_the_episode():
     assert ended.sum() >= 3
 
 
+def test_unstable_physics_is_an_end_of_its_own():
+    env = make_env(count=3, task="choose-place")
+    started(env)
+    simulation = env.simulation
+    simulation.batch.bind("qvel")[1, simulation._target_qvel] = 1e12
+    actions = np.zeros(env.action_space.shape, np.int64)
+    _, _, terminated, _, infos = env.advance(actions, nothing(env))
+    assert terminated.tolist() == [False, True, False]
+    assert infos["placing"].tolist() == ["unfinished", "unstable", "unfinished"]
+    assert not infos["disturbed"].any()
+    assert "unstable" in Place().result(env.running, env.config.task.asked, 1)
+
+
 def test_a_restored_state_continues_to_the_byte():
     env = make_env(count=4)
     agent = started(env)

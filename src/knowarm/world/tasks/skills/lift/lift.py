@@ -36,6 +36,7 @@ DISTURBED_M = (
     0.03  # Way of the centre of mass of another object after which it ends too
 )
 FALLEN_M = 0.05  # Depth below its place after which an episode ends
+UNSTABLE_PHYSICS = "the physics became unstable."
 
 # Size of a drafted area relative to the rectangle: that of shipped robots
 SHARE = (0.25, 0.75)
@@ -176,13 +177,14 @@ class Lift(Skill):
     def failure(self, state: State) -> Mask:
         """Return which episodes are lost, (n,) bool.
 
-        Those whose object was pushed 15 cm away or fell off its support, and those in which another
-        one was moved by 3 cm, lifted or toppled.
+        Those whose object was pushed 15 cm away or fell off its support, those in which another one
+        was moved by 3 cm, lifted or toppled, and those whose physics became unstable.
         """
         place = state.simulator.place(state.target)
         moved = norm(place - state.positions[:, 0], axis=1)
         is_lost = (moved > LOST_M) | (_rise(state) < -FALLEN_M)
-        return (is_lost & ~state.success) | disturbed(state)
+        is_spoiled = disturbed(state) | state.simulator.unstable
+        return (is_lost & ~state.success) | is_spoiled
 
     def reward(self, state: State) -> Floats:
         """Compute the reward of a step, (n,).
@@ -198,18 +200,21 @@ class Lift(Skill):
         return np.where(state.success, SUCCESS_REWARD, value)
 
     def infos(self, state: State) -> NamedArrays:
-        """Add the object's rise [m], whether both fingers touch it, and whether others moved."""
+        """Add rise [m], touch of both fingers, whether others moved and physics was unstable."""
         gripped = state.simulator.touched(state.target)
         return {
             "rise": _rise(state),
             "gripped": gripped,
             "disturbed": disturbed(state),
+            "unstable": state.simulator.unstable,
         }
 
     def result(self, state: State, asked: Asking, env_id: int) -> str:
         """Say whether it was lifted."""
         if state.success[env_id]:
             return "It is lifted."
+        if state.simulator.unstable[env_id]:
+            return f"It is not lifted: {UNSTABLE_PHYSICS}"
         if disturbed(state)[env_id]:
             return "It is not lifted: another object was moved."
         return "It is not lifted."
@@ -221,8 +226,9 @@ class Lift(Skill):
 
     def _is_up(self, state: State, objects: Integers) -> Mask:
         """Return which objects (n,) are at the height, with both fingers at them."""
-        is_high = state.simulator.rise(objects) >= self.height_m
-        return state.simulator.touched(objects) & is_high
+        simulator = state.simulator
+        is_high = simulator.rise(objects) >= self.height_m
+        return simulator.touched(objects) & is_high & ~simulator.unstable
 
 
 def _rise(state: State) -> Floats:
@@ -230,10 +236,13 @@ def _rise(state: State) -> Floats:
 
 
 def disturbed(state: State) -> Mask:
-    """Return in which episodes an object that is not meant has moved, (n,) bool."""
+    """Return in which episodes an object that is not meant has moved, (n,) bool.
+
+    Where the physics became unstable, nothing counts as moved.
+    """
     is_disturbed = np.zeros(len(state.steps), bool)
     for which in range(1, state.objects.shape[1]):
         objects = state.objects[:, which]
         moved = state.simulator.displacement(objects, state.positions[:, which])
         is_disturbed |= moved > DISTURBED_M
-    return is_disturbed
+    return is_disturbed & ~state.simulator.unstable

@@ -15,6 +15,11 @@ PARKED_M = (
 )
 NEAR_M = 0.25  # Distance of gripper and objects' centres of mass from which fingers may grip [m]
 FREE_SUBSTEPS = 10  # Physics steps of a control period in which nothing can be gripped
+FAST_M_S = (
+    10.0  # Speed of a centre of mass from which a control period is simulated again
+)
+FINE_SUBSTEPS = 100  # Its physics steps then
+START_S = 1e6  # Time at which episodes start; MuJoCo sets it to 0 where it resets a simulation
 TOUCH_STAGE = mjtStage.mjSTAGE_ACC.value  # Touch sensors read the forces of contacts
 
 
@@ -22,7 +27,9 @@ class LiftSimulator(MujocoSimulator):
     """Physics of n copies of a scene in which objects are lifted; the fingers are the last joint.
 
     Hidden objects fall far above the robot. Where nothing can be gripped, a control period takes
-    ``free_substeps`` physics steps instead of those of the model's time step.
+    ``free_substeps`` physics steps instead of those of the model's time step. Where it becomes
+    unstable (an arm that jams an object against the support may hurl it away at any speed), it is
+    simulated again in ``FINE_SUBSTEPS``.
     """
 
     def __init__(
@@ -44,11 +51,15 @@ class LiftSimulator(MujocoSimulator):
         self._substeps = round(CONTROL_PERIOD_S / model.opt.timestep)
         self._stage = TOUCH_STAGE
         self._timestep = self.batch.expand("opt.timestep")
+        self._time = self.batch.bind("time")
         self._centre = self.batch.bind("xipos")
         self._touch = self.batch.bind("sensordata").reshape(num_envs, -1, len(FINGERS))
         self._finger_qpos = model.jnt_qposadr[
             [model.joint(name).id for name in FINGERS]
         ]
+        first_dof = model.body_dofadr[scene.bodies]
+        # Indices in qvel of each target's velocity, (K, 3)
+        self._target_qvel = first_dof[:, None] + np.arange(3)
         # Indices in qpos of each target's pose, (K, 7)
         self._target_qpos = scene.object_qpos[:, None] + np.arange(7)
         data = MjData(model)
@@ -57,6 +68,11 @@ class LiftSimulator(MujocoSimulator):
         mj_comPos(model, data)
         # Centres of mass of objects that stand on the support, x and y from their place, (K, 3)
         self._rest_centre = data.xipos[scene.bodies].copy()
+
+    @property
+    def unstable(self) -> Mask:
+        """Whether the physics of the episode has become unstable, (n,): its state means nothing."""
+        return self._time < START_S
 
     def centre(self, targets: Integers) -> Floats:
         """Return the centre of mass of one target per environment, world, (n, 3) [m]."""
@@ -105,6 +121,7 @@ class LiftSimulator(MujocoSimulator):
         self, ids: Indices, position: Floats, visible: Mask | None
     ) -> None:
         """Put the targets on their support, or far above, and the second finger as the first."""
+        self._time[ids] = START_S
         rows = ids[:, None]
         self._qpos[rows, self._finger_qpos] = self._qpos[rows, self._finger_qpos[:1]]
         poses = np.repeat(self._lift_scene.rest[None], len(ids), axis=0)
@@ -145,6 +162,26 @@ class LiftSimulator(MujocoSimulator):
 
     def _advance(self, ids: Indices, substeps: int) -> None:
         """Advance environments (k,) by a control period in a number of physics steps."""
-        if len(ids):
-            self._timestep[ids] = CONTROL_PERIOD_S / substeps
-            self.batch.step(ids=ids, nstep=substeps, stage=self._stage)
+        if not len(ids):
+            return
+        was_stable = ~self.unstable[ids]
+        before = self.batch.state[ids]
+        self._simulate(ids, substeps)
+        again = was_stable & self._is_astray(ids)
+        if again.any():
+            ids = ids[again]
+            self.batch.state[ids] = before[again]
+            self._simulate(ids, FINE_SUBSTEPS)
+            self._time[ids[self._is_astray(ids)]] = 0.0
+
+    def _simulate(self, ids: Indices, substeps: int) -> None:
+        """Simulate a control period of environments (k,) in physics steps of the same length."""
+        self._timestep[ids] = CONTROL_PERIOD_S / substeps
+        self.batch.step(ids=ids, nstep=substeps, stage=self._stage)
+
+    def _is_astray(self, ids: Indices) -> Mask:
+        """Return where MuJoCo has reset the simulation, or an object is too fast, (k,)."""
+        rows = ids[:, None]
+        speed = norm(self._qvel[rows[:, None], self._target_qvel], axis=2)
+        is_here = self._qpos[rows, self._target_qpos[:, 2]] < PARKED_M / 2
+        return self.unstable[ids] | (is_here & (speed > FAST_M_S)).any(axis=1)

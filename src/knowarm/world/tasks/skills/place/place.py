@@ -19,6 +19,7 @@ from knowarm.world.tasks.skills.guides import DESTINATION, Sight
 from knowarm.world.tasks.skills.lift.lift import (
     FALLEN_M,
     LOST_M,
+    UNSTABLE_PHYSICS,
     Lift,
     State,
     disturbed,
@@ -42,18 +43,19 @@ NO_TEACHER = (
     "`knowarm evaluate RUN --seen` solve what a network sees."
 )
 
-OUTCOMES = ("placed", "beside", "fallen", "disturbed", "unfinished")
+OUTCOMES = ("placed", "beside", "fallen", "disturbed", "unstable", "unfinished")
 """How an episode ended: on the tray; put down beside it; toppled or fallen, by the arm or at the
-tray; another object moved or taken; none of these within the time limit."""
+tray; another object moved or taken; unstable physics; none of these within the time limit."""
 RESULTS = (
     "It stands on the tray.",
     "It is put down beside the tray.",
     "It has toppled or fallen.",
     "Another object was moved.",
+    UNSTABLE_PHYSICS.capitalize(),
     "It is not put down.",
 )
 """The same in sentences."""
-PLACED, BESIDE, FALLEN, DISTURBED, UNFINISHED = range(len(OUTCOMES))
+PLACED, BESIDE, FALLEN, DISTURBED, UNSTABLE, UNFINISHED = range(len(OUTCOMES))
 
 
 class PlaceSimulator(LiftSimulator):
@@ -222,6 +224,7 @@ class Place(Lift):
         outcome[is_beside] = BESIDE
         outcome[has_fallen] = FALLEN
         outcome[disturbed(state)] = DISTURBED
+        outcome[simulator.unstable] = UNSTABLE
         outcome[self.success(state)] = PLACED
         return outcome
 
@@ -248,4 +251,5 @@ def stands(simulator: LiftSimulator, objects: Integers) -> Mask:
     """Return whether objects (n,) stand upright, put down and without the gripper, (n,)."""
     is_down = np.abs(simulator.rise(objects)) < DOWN_M
     is_upright = _tilt_deg(simulator, objects) < UPRIGHT_DEG
-    return simulator.released(objects) & is_down & is_upright
+    is_free = simulator.released(objects) & ~simulator.unstable
+    return is_free & is_down & is_upright

@@ -100,6 +100,7 @@ class SortChores(Chores):
     def judge(self, graph: KnowledgeGraph) -> Tidied:
         """See `Chores.judge`."""
         state = self._state
+        simulator = state.simulator
         count = len(self._centres)
         # What is given is in the order of the places.
         numbers = np.argsort(state.memory["tray_places"][:, :count], axis=1)
@@ -108,7 +109,8 @@ class SortChores(Chores):
         starts = self._start.transpose(1, 0, 2)
         for objects, places in zip(state.objects.T, starts, strict=True):
             stands.append(self._skill.trays(state, objects))
-            moved.append(state.simulator.displacement(objects, places) > MOVED_M)
+            way = simulator.displacement(objects, places)
+            moved.append((way > MOVED_M) & ~simulator.unstable)
         return Tidied(
             belongs=only(self.belongs(graph, state.objects), numbers),
             stands=np.stack(stands, axis=1),
