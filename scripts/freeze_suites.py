@@ -1,6 +1,8 @@
-"""Draw and store the suites of the benchmark; a published suite is never written again.
+"""Draw and store the suites of the benchmark.
 
 python -m scripts.freeze_suites reach-v1
+
+A published suite is never written again: it is drawn again, and its digest compared.
 """
 
 import sys
@@ -126,11 +128,27 @@ SUITES = {
     "pick-and-place-v1": pick_and_place,
 }
 
+
+def store(name: str) -> str:
+    """Draw a suite; store it, or compare it with the published one. Return a line about it.
+
+    Raises:
+        SystemExit: it differs from the published one.
+    """
+    suite = SUITES[name]()
+    if (FOLDER / f"{name}.json").exists():
+        published = read_suite(name).digest
+        if suite.digest != published:
+            raise SystemExit(
+                f"{name} is published with digest {published[:16]}, and drawn again it has "
+                f"{suite.digest[:16]}: nothing is written. Make a new version."
+            )
+        return f"{name} {suite.digest}, as it is published"
+    for suffix, data in zip((".json", ".safetensors"), suite.data, strict=True):
+        (FOLDER / f"{name}{suffix}").write_bytes(data)
+    return f"{name} {suite.digest}, new"
+
+
 if __name__ == "__main__":
     for name in sys.argv[1:]:
-        if (FOLDER / f"{name}.json").exists():
-            raise SystemExit(f"{name} is published: make a new version.")
-        suite = SUITES[name]()
-        for suffix, data in zip((".json", ".safetensors"), suite.data, strict=True):
-            (FOLDER / f"{name}{suffix}").write_bytes(data)
-        print(suite.name, suite.digest)
+        print(store(name))

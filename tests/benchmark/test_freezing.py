@@ -13,6 +13,7 @@ from knowarm.cli.main import main
 from knowarm.errors import UserError
 from knowarm.knowledge.formats import read_graph, write_graph
 from knowarm.reading import read_json, write_json
+from scripts import freeze_suites
 from tests.source_tree import ROOT
 
 ROBOT = ROOT / "src" / "knowarm" / "world" / "robots" / "irb120"
@@ -120,3 +121,25 @@ def test_a_refusal_names_the_cells_that_fit(folder, capsys):
     capsys.readouterr()
     assert run(f"benchmark run choose-v1 --policy '{policy}' --trial 2") == 2
     assert "No cell of this suite fits" in capsys.readouterr().err
+
+
+def test_a_published_suite_is_drawn_again_and_compared(monkeypatch):
+    assert freeze_suites.store("damaged-graph-v1").endswith(", as it is published")
+    choose = read_suite("choose-v1")
+    monkeypatch.setitem(freeze_suites.SUITES, "reach-v1", lambda: choose)
+    files = [*freeze_suites.FOLDER.glob("reach-v1.*")]
+    before = [file.read_bytes() for file in files]
+    with pytest.raises(SystemExit, match=choose.digest[:16]) as error:
+        freeze_suites.store("reach-v1")
+    assert read_suite("reach-v1").digest[:16] in str(error.value)
+    assert "\n" not in str(error.value)
+    assert [file.read_bytes() for file in files] == before
+
+
+def test_a_new_suite_is_stored(tmp_path, monkeypatch):
+    choose = read_suite("choose-v1")
+    monkeypatch.setattr(freeze_suites, "FOLDER", tmp_path)
+    monkeypatch.setitem(freeze_suites.SUITES, "choose-v2", lambda: choose)
+    assert freeze_suites.store("choose-v2").endswith(f"{choose.digest}, new")
+    files = [tmp_path / f"choose-v2{suffix}" for suffix in (".json", ".safetensors")]
+    assert tuple(file.read_bytes() for file in files) == choose.data
