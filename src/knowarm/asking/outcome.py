@@ -92,8 +92,8 @@ class Asked:
             return f"The arm stayed: it sees {several}."
         if self.lacks_place:
             return (
-                "The arm stayed: the graph says of none of these places that the object belongs "
-                f"there: {self.told}."
+                "The arm stayed: the graph does not say at which one of these places the object "
+                f"belongs: {self.told}."
             )
         judgement = "which answers" if self.right else "which does not answer"
         if self.result:

@@ -139,7 +139,7 @@ class Tidying:
             facet = self.facet(scene, which)
             wanted = self._wants[scene, which]
             if wanted < 0:
-                why = "the graph says of none of these places that it belongs there"
+                why = "the graph does not say at which one of these places it belongs"
                 errands.append(Errand(facet=facet, why=why))
                 continue
             told = numbers.index(wanted)

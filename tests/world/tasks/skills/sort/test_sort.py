@@ -10,6 +10,7 @@ import knowarm
 from knowarm.errors import UserError
 from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.graph.builder import graph_of
+from knowarm.knowledge.graph.edits import edited
 from knowarm.world.agents import Batch
 from knowarm.world.robots import ROBOTS, find_robot
 from knowarm.world.tasks.asked.query.query import AskObject
@@ -126,6 +127,20 @@ def test_the_graph_that_is_known_decides_for_a_tray():
     nothing_stated = graph_of([("mug", "isA", "thing")])
     first = seen(env, images, nothing_stated)
     np.testing.assert_array_equal(first, seen(env, images, None))
+
+
+def test_a_graph_that_names_two_of_the_places_decides_for_neither():
+    env = env_of("irb120")
+    images, episodes = started(env)
+    facts = facts_of(env)
+    sight = Sight.true(env.running)._replace(destination=None)
+    skill = env.config.task.skill
+    graph = read_graph("objects")
+    assert skill.see(env.scene, sight, images, facts, graph).decided.all()
+    name = episodes.names[0, 0]
+    others = [place for place in facts["tray_places"][0] if place not in WHERE[name]]
+    both = edited(graph, [f"+ {name} isLocatedIn {others[0]}"])
+    assert not skill.see(env.scene, sight, images, facts, both).decided[0]
 
 
 @cache

@@ -25,7 +25,8 @@ OVER_M = (0.15, 0.10, 0.05)
 RISE_M = (0.03, 0.06, 0.10, 0.14)  # Heights of the path upwards
 CLOSED = (0.0, 0.35)  # Shares of their way that fingers are closed before the grasp
 FAR_M = 100.0  # Where nothing is touched
-UNREACHED = 1000.0  # Cost of a grasp that the arm does not reach [steps]
+UP = np.array([0.0, 0.0, 1.0])
+UNREACHED = 1000.0  # Cost of a pose that the arm does not reach [steps]
 CLEARANCE_M = 0.006  # Least distance from other objects
 GRIP_STEPS = 3  # Steps until closing fingers have gripped
 SETTLE_STEPS = 2  # Steps until the arm has followed its joint targets
@@ -182,7 +183,7 @@ class LiftGuide(Guide):
         """Return the legs after the fingers have closed at the end of a path (n, W, A)."""
         grasp = path[:, -1]
         position, matrix = self._follower.pose(grasp)
-        shifts = np.outer(RISE_M, [0.0, 0.0, 1.0])
+        shifts = np.outer(RISE_M, UP)
         rise = self._follower.solve_path(position, matrix, grasp, shifts)
         return [self._moving(rise, self._closed_m)]
 
@@ -235,9 +236,8 @@ class LiftGuide(Guide):
     ) -> Iterator[Candidate]:
         """Yield paths to a grasp at joint angles (k, A) for those of k episodes that need one."""
         back = -matrix.reshape(-1, 3, 3)[:, :, 2]
-        up = np.array([0.0, 0.0, 1.0])
         shifts = [distance * back for distance in reversed(BACK_M)]
-        shifts += [BACK_M[0] * back + height * up for height in reversed(OVER_M)]
+        shifts += [BACK_M[0] * back + height * UP for height in reversed(OVER_M)]
         approach = self._follower.solve_path(
             sight.position[ids], matrix, joints, np.stack(shifts)
         )

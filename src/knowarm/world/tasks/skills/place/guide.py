@@ -12,6 +12,8 @@ from knowarm.world.tasks.skills.lift.guide import (
     GRIP_STEPS,
     ON_APPROACH,
     SETTLE_STEPS,
+    UNREACHED,
+    UP,
     Leg,
     LiftGuide,
     Surroundings,
@@ -28,8 +30,6 @@ TURNS_DEG = (0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180)
 RISE = np.array([1.0, 2.0, 3.0]) / 3  # Shares of that height on the path up
 LOWER = np.array([0.0, 0.1, 0.3, 0.6, 1.0])  # The same over the tray, from below
 AWAY_M = 0.10  # Path upwards after the gripper has left the object
-UNREACHED = 1000.0  # Cost of a pose over the tray that the arm does not reach [steps]
-UP = np.array([0.0, 0.0, 1.0])
 
 
 class PlaceGuide(LiftGuide):

@@ -86,8 +86,7 @@ class SortChores(Chores):
 
     def belongs(self, graph: KnowledgeGraph | None, objects: Integers) -> Mask:
         """See `Chores.belongs`."""
-        facets = tuple((target.name, "") for target in self._state.scene.targets)
-        known = belongings(graph, facets, self.relation)
+        known = self._skill.known(self._state.scene, graph)
         return known.of(objects, self.told["places"])
 
     def fits(self) -> Mask:
@@ -188,6 +187,11 @@ class Sort(Place):
     def tray_centres(robot: Robot) -> Floats:
         """Return x and y of the centres of all trays, (K, 2) [m]."""
         return centres_m(robot, least=2)[:MAX_TRAYS]
+
+    def known(self, scene: Scene, graph: KnowledgeGraph | None) -> Belongings:
+        """Return where a graph says that the objects of a scene belong."""
+        facets = tuple((target.name, "") for target in scene.targets)
+        return belongings(graph, facets, self.relation)
 
     def memory(self, num_envs: int) -> NamedArrays:
         """Remember also the place and colour of each tray, by number, -1 where there is none."""
@@ -308,15 +312,14 @@ class Sort(Place):
             name = facts[DESTINATION][:, None]
             belongs = (places == name) | (facts["tray_colours"] == name)
         else:
-            facets = tuple((target.name, "") for target in scene.targets)
-            known = belongings(graph, facets, self.relation)
+            known = self.known(scene, graph)
             belongs = known.of(sight.objects[:, :1], places)[:, 0]
         trays = trays_by_colour(scene, images, centres, facts["tray_colours"])
         is_right = np.zeros_like(belongs)
         np.put_along_axis(is_right, trays, belongs, axis=1)
         destination = centres[np.argmax(is_right, axis=1)]
-        is_told = np.asarray(belongs.any(axis=1))
-        return sight._replace(destination=destination, decided=is_told)
+        is_one = np.asarray(belongs.sum(axis=1) == 1)
+        return sight._replace(destination=destination, decided=is_one)
 
     def chores(self, state: State, asked: Asking) -> SortChores:
         """Bring an object to each tray where one belongs."""
@@ -324,7 +327,7 @@ class Sort(Place):
 
     def solved(self, state: State, asked: Asking, graph: KnowledgeGraph) -> Mask:
         """Return which objects stand on the tray of a place where they belong by a graph, (n,)."""
-        known = belongings(graph, state.facets, self.relation)
+        known = self.known(state.scene, graph)
         names = true_belongings(asked, state.facets, self.relation).places
         places = names[state.memory["tray_places"]]  # (n, MAX_TRAYS)
         tray = self.trays(state, state.target)
