@@ -82,12 +82,13 @@ def reach_run(tmp_path_factory):
     return train(short(), tmp_path_factory.mktemp("reach"))
 
 
-@pytest.fixture
-def unfenced(monkeypatch):
-    """Compute in this process what is fenced: a fork of a test process takes 40 ms."""
-    from knowarm.fence import Fence
+@pytest.fixture(scope="module")
+def unfenced():
+    """Compute in this process what is fenced, as `without_forks` does."""
+    from tests.thorough import without_forks
 
-    monkeypatch.setattr(Fence, "is_inside", True)
+    with without_forks():
+        yield
 
 
 @pytest.fixture

@@ -8,6 +8,9 @@ from knowarm.knowledge import KnowledgeGraph, gamma, graph_of, read_graph, sente
 from knowarm.knowledge.formats import write_graph
 from knowarm.knowledge.graph.builder import difference, union
 from knowarm.knowledge.graph.terms import literal
+from tests.thorough import thorough
+
+pytestmark = pytest.mark.usefixtures("unfenced")
 
 WORD = st.text(
     st.characters(
@@ -26,7 +29,7 @@ TAIL = st.one_of(
 )
 TRIPLES = st.lists(st.tuples(NAME, NAME, TAIL), min_size=1, max_size=25)
 DIRECTION = st.sampled_from(["out", "in", "both"])
-MANY = settings(max_examples=60, deadline=None)
+MANY = settings(max_examples=thorough(20, 60), deadline=None)
 
 
 def facts(graph: KnowledgeGraph) -> set[tuple[str, str, str]]:

@@ -31,6 +31,9 @@ from knowarm.knowledge.graph.terms import (
     parse_literal,
 )
 from knowarm.knowledge.queries.sparql import SparqlQuery
+from tests.thorough import thorough
+
+pytestmark = pytest.mark.usefixtures("unfenced")
 
 MUG, BOTTLE = ("mug", "usedFor", "drinking"), ("bottle", "usedFor", "drinking")
 CUP = ("mug", "isA", "cup")
@@ -791,7 +794,7 @@ RELATION = st.sampled_from(["usedFor", "isA", E + "hasPart", E + "P1"])
 LITERAL = WORD.map(literal) | WORD.map(
     lambda text: literal(text + " \n", language="en")
 )
-MANY = settings(max_examples=40, deadline=None)
+MANY = settings(max_examples=thorough(10, 40), deadline=None)
 RDF = {"ttl": "turtle", "nt": "nt", "rdf": "xml", "jsonld": "json-ld"}
 MORE = {
     "nq": "nquads",

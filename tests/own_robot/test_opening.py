@@ -19,6 +19,8 @@ from knowarm.world.scene.scene import build_scene
 from knowarm.world.tasks.skills.lift.model import SQUEEZE_M, build_lift_scene
 from tests.own_robot.robot_cases import ARM, LEFT, RIGHT, as_urdf
 
+pytestmark = pytest.mark.usefixtures("unfenced")
+
 FINGER = """<body name="{0}" pos="0 {1} .06"><joint name="{0}" type="slide" axis="0 {2} 0" {3}/>
   <geom type="box" size=".01 .005 .03" pos="0 {4} 0"/></body>"""
 

@@ -20,6 +20,8 @@ from knowarm.world.robots import ROBOTS
 from knowarm.world.scene.scene import Scene, build_scene
 from tests.own_robot.robot_cases import ARM, LIMIT, as_urdf, change
 
+pytestmark = pytest.mark.usefixtures("unfenced")
+
 SHIPPED = ROBOTS["irb120"]
 
 

@@ -19,7 +19,10 @@ from knowarm.world.scene.scene import build_scene
 from knowarm.world.tasks.skills.lift.lift import Lift
 from knowarm.world.tasks.skills.lift.model import build_lift_scene
 from tests.own_robot.robot_cases import CASES
+from tests.thorough import thorough
 from tests.world.helpers import EXAMPLES
+
+pytestmark = pytest.mark.usefixtures("unfenced")
 
 SIX = "j1, j2, j3, j4, j5, j6; left out: {}; TCP: between the ends"
 BASE = "base: turned or shifted"
@@ -238,13 +241,11 @@ def test_the_area_of_lifting_is_the_one_in_which_the_teacher_lifts_most(
 @pytest.mark.parametrize(
     "name",
     [
-        "two arms",
         "waist, head and arm",
-        "faces -y",
-        "free base",
         "on the ceiling",
-        "force limits",
         "own floor",
+        # Their parts have tests above: joints, base and servos.
+        *thorough((), ("two arms", "faces -y", "free base", "force limits")),
     ],
 )
 def test_drafts_pass_all_checks(
@@ -254,7 +255,7 @@ def test_drafts_pass_all_checks(
         monkeypatch.setattr(
             draft, "find_area", lambda *arguments: ({}, "not looked for")
         )
-    monkeypatch.setattr(object_check, "EPISODES", 40)
+    monkeypatch.setattr(object_check, "EPISODES", thorough(20, 40))
     (tmp_path / "arm.xml").write_text(CASES[name])
     found = draft_robot(tmp_path / "arm.xml", ["mug", "bottle"], {})
     found = shrink_distance(found, ["mug", "bottle"])

@@ -12,6 +12,8 @@ from knowarm.world.scene.scene import load_scene
 from knowarm.world.tasks.skills.teacher import GoalTable
 from tests.world.helpers import EXAMPLES, write_robot
 
+pytestmark = pytest.mark.usefixtures("unfenced")
+
 
 def result_of(name: str, robot: Path | str, targets: list, **options: object) -> Check:
     """Run the checks of a robot up to a name."""

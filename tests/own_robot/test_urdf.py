@@ -15,6 +15,8 @@ from knowarm.world.description import description_files
 from knowarm.world.robots import find_robot
 from knowarm.world.scene.mjcf import read_mjcf
 
+pytestmark = pytest.mark.usefixtures("unfenced")
+
 LINK = """<link name="l{0}"><inertial><mass value="1"/><inertia ixx="{1}" iyy=".01" izz=".01"
   ixy="0" ixz="0" iyz="0"/></inertial>
   <visual name="v"><origin xyz="0 0 .1"/><geometry>{2}</geometry></visual></link>
