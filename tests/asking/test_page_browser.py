@@ -7,6 +7,7 @@ from knowarm.asking.page import page
 from knowarm.experiment.load import load_agent
 from tests.asking.test_offered import RUN
 from tests.report.test_browser import SIZES, browser, open_page  # noqa: F401
+from tests.thorough import combinations
 
 pytestmark = pytest.mark.browser
 
@@ -37,8 +38,7 @@ def asker(tmp_path_factory):
     asker.close()
 
 
-@pytest.mark.parametrize("question", QUESTIONS)
-@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize(("question", "size"), combinations(QUESTIONS, SIZES))
 def test_the_page_fits_the_screen(asker, open_page, tmp_path, question, size):  # noqa: F811
     asked = asker.ask(question) if question else None
     path = tmp_path / "page.html"

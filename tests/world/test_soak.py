@@ -4,9 +4,10 @@ import numpy as np
 import psutil
 import pytest
 
+from tests.thorough import thorough
 from tests.world.helpers import MakeEnv
 
-STEPS = 6_400  # a robot; `make torture` takes a million
+STEPS = thorough(3_200, 6_400)  # a robot; `make torture` takes a million
 MAX_GROWTH_MIB = 30
 
 
@@ -15,7 +16,7 @@ MAX_GROWTH_MIB = 30
 def test_random_steps_leave_no_nan_and_no_growing_memory(
     robot: str, make_env: MakeEnv
 ) -> None:
-    env = make_env(128, num_threads=0, robot=robot, colours="randomized")
+    env = make_env(64, num_threads=0, robot=robot, colours="randomized")
     env.reset(seed=0)
     generator = np.random.default_rng(0)
     process = psutil.Process()

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from knowarm.world.render import Raycaster
+from tests.thorough import thorough
 from tests.world.render.normals import pixel_normals
 from tests.world.render.raycast_scenes import (
     CAMERA,
@@ -45,7 +46,10 @@ def agreement(
 @pytest.mark.parametrize("robot", ["irb120", "tiago"])
 def test_robots(robot: str) -> None:
     scene = robot_scene(robot)
-    assert agreement(random_states(scene.model, 40, seed=1), scene.camera) >= 0.999
+    assert (
+        agreement(random_states(scene.model, thorough(15, 40), seed=1), scene.camera)
+        >= 0.999
+    )
 
 
 def test_every_primitive() -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from benchmarks.images import ssim
 from knowarm.world.render import Raycaster
+from tests.thorough import combinations
 from tests.world.render.opengl_images import NoOpenGL, opengl_images
 from tests.world.render.raycast_scenes import (
     CAMERA,
@@ -41,15 +42,17 @@ def similarity(
     return float(np.mean([ssim(a, b) for a, b in zip(ours, theirs, strict=True)]))
 
 
-@pytest.mark.parametrize("smooth", [False, True])
-@pytest.mark.parametrize("robot", ["irb120", "tiago"])
+@pytest.mark.parametrize(
+    ("robot", "smooth"), combinations(("irb120", "tiago"), (False, True))
+)
 def test_robots(robot: str, smooth: bool, tmp_path: Path) -> None:
     scene = robot_scene(robot)
     assert similarity(scene.model, scene.camera, tmp_path, smooth) >= 0.95
 
 
-@pytest.mark.parametrize("smooth", [False, True])
-@pytest.mark.parametrize("make", [every_primitive, mesh_scene])
+@pytest.mark.parametrize(
+    ("make", "smooth"), combinations((mesh_scene, every_primitive), (False, True))
+)
 def test_shapes(
     make: Callable[[], mujoco.MjModel], smooth: bool, tmp_path: Path
 ) -> None:

@@ -15,6 +15,7 @@ from knowarm.world.tasks.skills.guides import Guide, Sight
 from knowarm.world.tasks.skills.lift.guide import Surroundings
 from knowarm.world.tasks.skills.place.place import OUTCOMES, Place
 from knowarm.world.tasks.skills.place.tray import HALF_M
+from tests.thorough import thorough
 
 OPEN = 2  # Level of the largest step that opens the fingers
 
@@ -47,8 +48,9 @@ def test_the_oracle_places_objects_on_the_tray(robot):
 
 
 def test_of_several_objects_the_oracle_places_the_one_that_answers():
-    env = make_env(count=12, task="choose-place")
-    episodes = knowarm.evaluation_episodes(env.config, 12, seed=0)
+    count = thorough(8, 12)
+    env = make_env(count=count, task="choose-place")
+    episodes = knowarm.evaluation_episodes(env.config, count, seed=0)
     result = knowarm.play(knowarm.OracleAgent(env), env, episodes)
     assert result.success.mean() >= 0.75
     assert not result.infos["disturbed"][result.success].any()

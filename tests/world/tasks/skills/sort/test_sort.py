@@ -20,6 +20,7 @@ from knowarm.world.tasks.skills.place.tray import centres_m
 from knowarm.world.tasks.skills.sort.looking import trays_by_colour
 from knowarm.world.tasks.skills.sort.sort import TRAY_COLOURS, Sort
 from knowarm.world.tasks.task import Task
+from tests.thorough import thorough
 
 WHERE = {
     "mug": {"kitchen"},
@@ -224,10 +225,14 @@ def test_an_edited_graph_changes_where_things_belong():
     assert before[~np.array(moved)].mean() > before[moved].mean()
 
 
+COUNT = thorough(8, 12)
+"""Episodes of the oracle."""
+
+
 @cache
 def played():
-    env = make_env(count=12, image_size=8)
-    episodes = knowarm.evaluation_episodes(env.config, 12, seed=0)
+    env = make_env(count=COUNT, image_size=8)
+    episodes = knowarm.evaluation_episodes(env.config, COUNT, seed=0)
     return knowarm.play(knowarm.OracleAgent(env), env, episodes)
 
 
@@ -238,8 +243,8 @@ def test_the_oracle_sorts():
 
 
 def test_on_another_tray_it_is_lost_as_such():
-    env = make_env(count=12, image_size=8)
-    episodes = knowarm.evaluation_episodes(env.config, 12, seed=0)
+    env = make_env(count=COUNT, image_size=8)
+    episodes = knowarm.evaluation_episodes(env.config, COUNT, seed=0)
     env.reset(options={"episodes": episodes})
     agent = knowarm.OracleAgent(env)
     centres = centres_m(env.scene.robot)
@@ -248,9 +253,9 @@ def test_on_another_tray_it_is_lost_as_such():
     wrong = Sight.true(env.running)._replace(destination=centres[(number + 1) % 3])
     agent.reset(Batch.of(env))
     agent.path = agent.guide.path(wrong)
-    placing = np.full(12, "running  ", "<U16")
+    placing = np.full(COUNT, "running  ", "<U16")
     for _ in range(159):
-        _, _, ended, _, infos = env.advance(agent.act({}), np.zeros(12, bool))
+        _, _, ended, _, infos = env.advance(agent.act({}), np.zeros(COUNT, bool))
         is_new = ended & (placing == "running  ")
         placing[is_new] = infos["placing"][is_new]
     assert (placing == "wrong_tray").mean() >= 0.6
