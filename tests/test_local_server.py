@@ -16,7 +16,6 @@ def headers(**values):
     message = Message()
     for name, value in values.items():
         message[name] = value
-    message.get_all = lambda name, get=message.get_all: get(name) or []
     return message
 
 

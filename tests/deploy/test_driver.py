@@ -492,6 +492,9 @@ def test_the_step_limit_ends_the_episode():
 
 def test_a_stop_is_final_and_keeps_its_first_reason():
     robot = Robot()
+    robot.driver.stop("")
+    assert robot.tick() is None
+    robot = Robot()
     robot.driver.stop("stopped by /knowarm/stop")
     robot.driver.stop("later")
     assert robot.tick() is None

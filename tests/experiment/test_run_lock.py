@@ -150,6 +150,20 @@ def test_a_folder_that_another_process_took_beside_a_lock_that_locks_nothing(tmp
     assert json.loads((tmp_path / HOLDER).read_text()) == other
 
 
+@pytest.mark.skipif(os.name == "nt", reason="Windows moves no folder in use")
+@pytest.mark.parametrize("is_replaced", [False, True])
+def test_a_lock_does_not_follow_a_folder_that_was_moved(tmp_path, is_replaced):
+    path = tmp_path / "run"
+    with lock_folder(path, remedy="Stop it.") as lock:
+        path.rename(tmp_path / "moved")
+        if is_replaced:
+            path.mkdir()
+        with pytest.raises(UserError, match=r"run.\.lock: the folder was moved"):
+            lock.check()
+    assert path.exists() == is_replaced
+    assert not [*path.glob("*")]
+
+
 def test_a_training_writes_nothing_into_a_folder_that_another_process_took(tmp_path):
     config = short(total_steps=400)
     path = tmp_path / config.name / "0"

@@ -224,8 +224,7 @@ class Driver:
 
     def stop(self, reason: str) -> None:
         """End the episode."""
-        if not self.end:
-            self.end = reason
+        self.end = self.end or reason or "stopped"
         self.status = self.end
 
     def tick(self, now_s: float, obstacle: str = "") -> Targets | None:

@@ -36,6 +36,7 @@ class FolderLock:
     def __init__(self, path: Path, remedy: str) -> None:
         self._path = path
         self._remedy = remedy
+        self._folder = _inode(path)
         self._acquire(SECONDS)
         self._holder = {
             "pid": os.getpid(),
@@ -57,9 +58,11 @@ class FolderLock:
 
         Raises:
             FolderInUseError: another process has taken it.
-            UserError: the folder is gone.
+            UserError: the folder was moved or removed, whatever is at its path now.
         """
         with writing(self._path / LOCK, self._remedy):
+            if _inode(self._path) != self._folder:
+                raise OSError("the folder was moved or removed")
             if _inode(self._path / LOCK) != self._inode:
                 self._lock.release()
                 self._acquire(0.0)
@@ -120,7 +123,7 @@ def lock_folder(path: Path, *, remedy: str) -> Iterator[FolderLock]:
 
 
 def _inode(file: Path) -> tuple[int, int] | None:
-    """Return what tells a file from another one of its name; None if there is none."""
+    """Return what tells a file or folder from another one of its name; None if there is none."""
     try:
         state = file.stat()
     except OSError:
