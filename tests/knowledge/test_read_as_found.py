@@ -9,6 +9,7 @@ import shlex
 import subprocess
 import sys
 import warnings
+from importlib import metadata
 from pathlib import Path
 
 import hypothesis.strategies as st
@@ -171,6 +172,23 @@ WIDE = {
     "two columns": ("a.csv", "Object,affordance\nmug,drinking\nmug,pouring\n", 2),
     "gzip": ("a.csv.gz", gzip.compress(f"name,affordance,material\n{THINGS}".encode()), 4),
 }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "libraries"),
+    [("a.csv", "pandas"), ("a.xlsx", "pandas openpyxl"), ("a.yaml", "pyyaml")],
+)
+def test_a_remedy_installs_the_libraries_that_are_not_there(
+    tmp_path, monkeypatch, name, libraries
+):
+    def refuse(library):
+        raise metadata.PackageNotFoundError(library)
+
+    path = tmp_path / name
+    path.write_text(WIDE["commas"][1])
+    monkeypatch.setattr(metadata, "distribution", refuse)
+    with pytest.raises(UserError, match=f": pip install {libraries} && python -c"):
+        read_graph(path)
 
 
 @pytest.mark.parametrize(("name", "content", "count"), WIDE.values(), ids=WIDE)

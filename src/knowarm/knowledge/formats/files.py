@@ -9,6 +9,7 @@ import shlex
 import zipfile
 from codecs import BOM_UTF8, BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Callable, Iterator
+from importlib import metadata
 from pathlib import Path
 from typing import IO, Any
 
@@ -28,6 +29,14 @@ MAX_LINE = 1 << 20
 
 _BEGINNING = 1 << 16
 """Bytes by which content is recognized."""
+_LIBRARIES = {
+    "pandas": "pandas",
+    "rdflib": "rdflib",
+    "yaml": "pyyaml",
+    "read_excel": "openpyxl",
+    "nx_pydot": "pydot",
+}
+"""Libraries that KnowArm does not depend on, by the word in the code that needs them."""
 
 
 def open_compressed(path: Path) -> IO[bytes]:
@@ -105,10 +114,30 @@ def quoted(path: Path) -> str:
 
 
 def python(code: str, file: object, made: object = "") -> str:
-    """Return the command that runs Python code on <file>, which writes <made>."""
+    """Return the command that runs Python code on <file>, which writes <made>.
+
+    Libraries that the code needs and this environment lacks are installed first.
+    """
+    lacking = [
+        library
+        for word, library in _LIBRARIES.items()
+        if word in code and not _is_installed(library)
+    ]
     for mark, path in {"<file>": file, "<made>": made}.items():
         code = code.replace(mark, json.dumps(str(path), ensure_ascii=False))
-    return f"python -c {shlex.quote(code)}"
+    command = f"python -c {shlex.quote(code)}"
+    if lacking:
+        return f"pip install {' '.join(lacking)} && {command}"
+    return command
+
+
+def _is_installed(library: str) -> bool:
+    """Return whether this environment holds a distribution."""
+    try:
+        metadata.distribution(library)
+    except metadata.PackageNotFoundError:
+        return False
+    return True
 
 
 def decode(line: bytes, path: Path, number: int) -> str:
