@@ -5,7 +5,7 @@ from itertools import accumulate
 
 import numpy as np
 
-from knowarm.arrays import Floats, Integers
+from knowarm.arrays import Floats, Integers, Mask
 from knowarm.world.tasks.reward import is_success
 from knowarm.world.tasks.sampling import Episodes
 from knowarm.world.tasks.skills.lift.model import SQUEEZE_M
@@ -81,24 +81,38 @@ class LiftTeacher(Teacher):
         # Open fingers follow an object that was pushed; closed ones keep to where it stood.
         place_now = self._simulator.place(target)
         places = np.where(is_closed[:, None], state.positions[:, 0], place_now)
-        approach = _points(self._approach, target, places)
+        approach = path_of(self._approach, target, places)
         error = _largest_errors(approach, joints) / self._largest
         aimed_at = _next_point(error)
-        rise = _points(self._rise, target, places)
-        nearest = _largest_errors(rise, joints).argmin(axis=0)
-        above = np.minimum(nearest + AHEAD, len(rise) - 1)
-        rows = np.arange(len(joints))
-        arm_goal = approach[aimed_at, rows]
-        arm_goal = np.where(is_held[:, None], rise[above, rows], arm_goal)
-        # The arm waits while the fingers close.
-        arm_goal = np.where(is_closing[:, None], joints, arm_goal)
+        arm_goal = approach[aimed_at, np.arange(len(joints))]
+        held_goal, lets_go = self._with_object(joints)
+        arm_goal = np.where(is_held[:, None], held_goal, arm_goal)
+        # The arm waits while the fingers move.
+        is_done = self._is_done() & ~is_closed
+        waits = is_closing | is_done
+        arm_goal = np.where(waits[:, None], joints, arm_goal)
         is_at_grasp = is_success(
             state.distance, state.angle, self._close_m, self._close_deg
         )
-        closes = is_held | is_closing | (~is_closed & is_at_grasp)
+        grips = ~is_closed & ~is_done & is_at_grasp
+        closes = (is_held & ~lets_go) | is_closing | grips
         finger_goals = np.where(closes, closed_m, 0.0)
         goals = np.column_stack([arm_goal, finger_goals])
         return (goals - state.joint_targets) / self._largest
+
+    def _with_object(self, joints: Floats) -> tuple[Floats, Mask]:
+        """Return where arms with joint targets (n, A) go once they hold their object.
+
+        Returns:
+            Joint angles (n, A) [rad], and whether the fingers let it go there, (n,).
+        """
+        places = self._state.positions[:, 0]
+        goal, _ = followed(path_of(self._rise, self._state.target, places), joints)
+        return goal, np.zeros(len(joints), bool)
+
+    def _is_done(self) -> Mask:
+        """Return where open fingers have nothing left to do, (n,)."""
+        return np.zeros(len(self._state.steps), bool)
 
     def practice_point(
         self,
@@ -109,7 +123,7 @@ class LiftTeacher(Teacher):
         choice: Floats,
     ) -> Floats:
         """Return joint angles on the approach, or before it, (k, J) [rad]."""
-        approach = _points(self._approach, episodes.target, episodes.position)
+        approach = path_of(self._approach, episodes.target, episodes.position)
         point = (share[:, 0] * len(approach)).astype(np.int64)
         # Less noise near the object, which the fingers would push
         ends = (0, len(approach) - 1)
@@ -120,12 +134,23 @@ class LiftTeacher(Teacher):
         return np.where(choice < ON_APPROACH, on_approach, before)
 
 
-def _points(tables: Sequence[GoalTable], objects: Integers, places: Floats) -> Floats:
+def path_of(tables: Sequence[GoalTable], objects: Integers, places: Floats) -> Floats:
     """Return ``POINTS`` points from each pose to the next, and the last pose, (W, n, J) [rad]."""
     poses = np.stack([table(objects, places) for table in tables])
     share = np.linspace(0.0, 1.0, POINTS, endpoint=False)[:, None, None]
     points = interpolate(poses[:-1, None], poses[1:, None], share)
     return np.concatenate([*points, poses[-1:]])
+
+
+def followed(path: Floats, joints: Floats) -> tuple[Floats, Integers]:
+    """Return what arms with joint angles (n, A) aim at on paths (W, n, A), and the nearest point.
+
+    Returns:
+        Joint angles `AHEAD` points from the nearest one, (n, A) [rad], and its number, (n,).
+    """
+    nearest = _largest_errors(path, joints).argmin(axis=0)
+    ahead = np.minimum(nearest + AHEAD, len(path) - 1)
+    return path[ahead, np.arange(len(joints))], nearest
 
 
 def _largest_errors(points: Floats, joints: Floats) -> Floats:

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.linalg import norm
 
 from knowarm.arrays import Array, Floats, Images, Indices, Integers, Mask
-from knowarm.errors import UserError
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.world.objects.target import Target
 from knowarm.world.robots.robot import Robot
@@ -27,21 +26,19 @@ from knowarm.world.tasks.skills.lift.lift import (
 from knowarm.world.tasks.skills.lift.model import LiftScene, build_lift_scene
 from knowarm.world.tasks.skills.lift.simulator import LiftSimulator
 from knowarm.world.tasks.skills.place.guide import PlaceGuide
-from knowarm.world.tasks.skills.place.tray import HALF_M, add_trays, centres_m
-from knowarm.world.tasks.skills.teacher import Teacher
+from knowarm.world.tasks.skills.place.teacher import PlaceTeacher
+from knowarm.world.tasks.skills.place.tray import (
+    DOWN_M,
+    add_trays,
+    centres_m,
+    is_over,
+)
 from knowarm.world.tasks.state import NamedArrays
 
-DOWN_M = 0.02  # Rise below which a released object has been put down
 STILL_M = 0.001  # Largest way of the centre of mass in a step at rest
 UPRIGHT_DEG = 15.0
 TOPPLED_DEG = 45.0
 HELD_REWARD = 5.0
-
-IMITATING = frozenset({"distil"})  # Algorithms that need a teacher
-NO_TEACHER = (
-    "Placing has no teacher, so it cannot be imitated. Train by reward (fast, ppo, a3c), or let "
-    "`knowarm evaluate RUN --seen` solve what a network sees."
-)
 
 OUTCOMES = ("placed", "beside", "fallen", "disturbed", "unstable", "unfinished")
 """How an episode ended: on the tray; put down beside it; toppled or fallen, by the arm or at the
@@ -91,10 +88,11 @@ class Place(Lift):
     """Consecutive steps at rest on the tray, released, that count as success."""
 
     def training(self, algorithm: str, asked: Asking) -> Mapping[str, Any]:
-        """Refuse imitation before anything is trained."""
-        if algorithm in IMITATING:
-            raise UserError(NO_TEACHER)
-        return {}
+        """Imitate for twice as long as lifting: episodes are twice as long."""
+        fields = dict(super().training(algorithm, asked))
+        if "total_steps" in fields:
+            fields["total_steps"] *= 2
+        return fields
 
     def areas_to_try(self, robot: Robot) -> Iterator[dict[str, Any]]:
         """Propose none: that of lifting is taken."""
@@ -118,9 +116,9 @@ class Place(Lift):
         furnish = add_trays(robot, cls.tray_centres(robot))
         return build_lift_scene(robot, targets, distractors, furnish=furnish)
 
-    def teacher(self, state: State) -> Teacher:  # type: ignore[override]
-        """Refuse: what to do does not follow from the state alone."""
-        raise UserError(NO_TEACHER)
+    def teacher(self, state: State) -> PlaceTeacher:
+        """Make what takes the object to its tray."""
+        return PlaceTeacher(state, self.tray_centres(state.scene.robot))
 
     def guide(self, straight: bool) -> type[PlaceGuide]:
         """Return what takes the object to the tray."""
@@ -237,8 +235,7 @@ def _tray_offset(state: State) -> Floats:
 
 def _is_over_tray(state: State) -> Mask:
     """Return whether the centre of mass is above the tray, (n,)."""
-    is_within: Mask = np.abs(_tray_offset(state)) < HALF_M
-    return np.all(is_within, axis=1)
+    return is_over(_tray_offset(state))
 
 
 def _tilt_deg(simulator: LiftSimulator, objects: Integers) -> Floats:

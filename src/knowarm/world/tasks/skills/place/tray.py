@@ -5,13 +5,14 @@ from collections.abc import Callable
 import numpy as np
 from mujoco import MjSpec, mjtGeom
 
-from knowarm.arrays import Floats
+from knowarm.arrays import Floats, Mask
 from knowarm.errors import UserError
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.compose import ROBOT_BIT, SUPPORT_BIT
 
 HALF_M = 0.065  # Half of a tray's side
 THICK_M = 0.005
+DOWN_M = 0.02  # Rise below which a released object has been put down
 RGBA = (0.30, 0.36, 0.46, 1.0)
 
 
@@ -28,6 +29,12 @@ def centres_m(robot: Robot, least: int = 1) -> Floats:
             "[[x, y], ...] in its TOML file, beside the rectangle and within reach."
         )
     return np.array(robot.trays_m)
+
+
+def is_over(offset: Floats) -> Mask:
+    """Return which offsets from a tray's centre (n, 2) [m] are above the tray, (n,)."""
+    is_within: Mask = np.abs(offset) < HALF_M
+    return np.all(is_within, axis=1)
 
 
 def add_trays(robot: Robot, centres: Floats) -> Callable[[MjSpec], None]:

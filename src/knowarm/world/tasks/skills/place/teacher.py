@@ -1,0 +1,105 @@
+"""Teacher of placing: as that of lifting, then to the tray, where the fingers let go."""
+
+import numpy as np
+from numpy.linalg import norm
+
+from knowarm.arrays import Floats, Mask
+from knowarm.world.scene.scene import build_scene
+from knowarm.world.tasks.skills.guides import DESTINATION
+from knowarm.world.tasks.skills.ik import REACHED_DEG, REACHED_M, InverseKinematics
+from knowarm.world.tasks.skills.lift.guide import rotation
+from knowarm.world.tasks.skills.lift.simulator import LiftSimulator
+from knowarm.world.tasks.skills.lift.teacher import LiftTeacher, followed, path_of
+from knowarm.world.tasks.skills.place.tray import DOWN_M, THICK_M, is_over
+from knowarm.world.tasks.skills.teacher import interpolate
+from knowarm.world.tasks.state import EpisodeState
+
+HEIGHTS_M = (0.12, 0.08, 0.04, 0.004)
+"""Heights of an object above the tray on its way down; at the last one it is let go."""
+TURNS_DEG = (0, 30, -30, 60, -60, 90, -90)
+"""Turns of the object about the vertical on its way to the tray, of which the shortest counts."""
+CARRY_POINTS = 24  # Points on the way to the tray
+LOWER_POINTS = 6  # Points from one height to the next
+UNREACHED = 1000.0  # Cost of a pose over the tray that the arm does not reach [rad]
+UP = np.array([0.0, 0.0, 1.0])
+ARRIVED = 0.3  # Largest error of a joint at which the object is let go [largest steps]
+
+
+class PlaceTeacher(LiftTeacher):
+    """Takes an object as `LiftTeacher`, carries it over its tray, lowers it and lets it go.
+
+    What it does depends on the state alone, as there: with the object in its grip the arm aims at
+    the point after the one of its way that is nearest.
+    """
+
+    def __init__(
+        self, state: EpisodeState[LiftSimulator], tray_centres: Floats
+    ) -> None:
+        super().__init__(state)
+        self._trays = tray_centres
+        over = [self._over_tray(centre) for centre in tray_centres]
+        self._lower = np.stack(over)  # (T, K, H, A)
+
+    def _over_tray(self, centre: Floats) -> Floats:
+        """Return joint angles with each object over a tray, at each height, (K, H, A) [rad]."""
+        state = self._state
+        targets = state.scene.targets
+        numbers = np.arange(len(targets))
+        middle = np.tile(state.scene.robot.rectangle_centre_m, (len(targets), 1))
+        start = self._rise[-1](numbers, middle)
+        places = np.tile(centre, (len(targets), 1))
+        position, matrix = state.goal_frames(numbers, places)
+        arm = build_scene(state.scene.robot, targets[:1])
+        solver = InverseKinematics.of_task(arm, state)
+        on_tray = np.column_stack([places, np.full(len(targets), THICK_M)])
+        offset = position.copy()
+        offset[:, :2] -= places
+        best = np.full(len(targets), np.inf)
+        found = np.zeros((len(targets), len(HEIGHTS_M), start.shape[1]))
+        for degrees in TURNS_DEG:
+            turn = rotation(2, degrees)
+            goal = on_tray + offset @ turn.T
+            goal_matrix = (turn @ matrix.reshape(-1, 3, 3)).reshape(-1, 9)
+            joints = start
+            way = []
+            cost = np.zeros(len(targets))
+            for height in HEIGHTS_M:
+                raised = goal + height * UP
+                solution = solver.solve(raised, goal_matrix, joints)
+                is_reached = solution.within(REACHED_M, REACHED_DEG)
+                moved = np.abs(solution.joints - joints).max(axis=1)
+                cost += np.where(is_reached, moved, UNREACHED)
+                joints = solution.joints
+                way.append(joints)
+            is_better = cost < best
+            best[is_better] = cost[is_better]
+            found[is_better] = np.stack(way, axis=1)[is_better]
+        return found
+
+    def _with_object(self, joints: Floats) -> tuple[Floats, Mask]:
+        """See `LiftTeacher._with_object`: on the way to the tray, at whose end they let go."""
+        state = self._state
+        destination = state.memory[DESTINATION][:, None]
+        tray = norm(self._trays - destination, axis=2).argmin(axis=1)
+        rise = path_of(self._rise, state.target, state.positions[:, 0])
+        lower = self._lower[tray, state.target].swapaxes(0, 1)  # (H, n, A)
+        carry = _between(rise[-1:], lower[:1], CARRY_POINTS)
+        lowered = _between(lower[:-1], lower[1:], LOWER_POINTS)
+        path = np.concatenate([rise[:-1], *carry, *lowered, lower[-1:]])
+        goal, nearest = followed(path, joints)
+        error = np.abs(path[-1] - joints).max(axis=1) / self._largest
+        return goal, (nearest == len(path) - 1) & (error < ARRIVED)
+
+    def _is_done(self) -> Mask:
+        """See `LiftTeacher._is_done`: where the object is down over the tray."""
+        state = self._state
+        centre = state.simulator.centre(state.target)[:, :2]
+        is_down = state.simulator.rise(state.target) < DOWN_M
+        is_there = is_over(centre - state.memory[DESTINATION])
+        return state.memory["taken"] & is_down & is_there
+
+
+def _between(start: Floats, end: Floats, count: int) -> list[Floats]:
+    """Return ``count`` points on each of W legs, end excluded, (count, n, A) each."""
+    share = np.linspace(0.0, 1.0, count, endpoint=False)[:, None, None]
+    return [interpolate(a, b, share) for a, b in zip(start, end, strict=True)]
