@@ -87,14 +87,15 @@ class LiftTeacher(Teacher):
         arm_goal = approach[aimed_at, np.arange(len(joints))]
         held_goal, lets_go = self._with_object(joints)
         arm_goal = np.where(is_held[:, None], held_goal, arm_goal)
-        # The arm waits while the fingers move.
-        is_done = self._is_done() & ~is_closed
-        waits = is_closing | is_done
-        arm_goal = np.where(waits[:, None], joints, arm_goal)
+        left_goal, is_put_down = self._after_release(joints)
+        has_left = is_put_down & ~is_closed
+        arm_goal = np.where(has_left[:, None], left_goal, arm_goal)
+        # The arm waits while the fingers close.
+        arm_goal = np.where(is_closing[:, None], joints, arm_goal)
         is_at_grasp = is_success(
             state.distance, state.angle, self._close_m, self._close_deg
         )
-        grips = ~is_closed & ~is_done & is_at_grasp
+        grips = ~is_closed & ~has_left & is_at_grasp
         closes = (is_held & ~lets_go) | is_closing | grips
         finger_goals = np.where(closes, closed_m, 0.0)
         goals = np.column_stack([arm_goal, finger_goals])
@@ -110,9 +111,13 @@ class LiftTeacher(Teacher):
         goal, _ = followed(path_of(self._rise, self._state.target, places), joints)
         return goal, np.zeros(len(joints), bool)
 
-    def _is_done(self) -> Mask:
-        """Return where open fingers have nothing left to do, (n,)."""
-        return np.zeros(len(self._state.steps), bool)
+    def _after_release(self, joints: Floats) -> tuple[Floats, Mask]:
+        """Return where arms with joint targets (n, A) go that have put their object down.
+
+        Returns:
+            Joint angles (n, A) [rad], and whether the object is put down, (n,).
+        """
+        return joints, np.zeros(len(joints), bool)
 
     def practice_point(
         self,

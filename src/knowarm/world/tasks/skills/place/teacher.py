@@ -20,6 +20,12 @@ TURNS_DEG = (0, 30, -30, 60, -60, 90, -90)
 """Turns of the object about the vertical on its way to the tray, of which the shortest counts."""
 CARRY_POINTS = 24  # Points on the way to the tray
 LOWER_POINTS = 6  # Points from one height to the next
+BACK_M = (
+    0.02,
+    0.05,
+    0.10,
+)  # Ways of the gripper back from an object that it has let go
+OPEN_M = 0.002  # Way of a finger from fully open at which it has opened
 UNREACHED = 1000.0  # Cost of a pose over the tray that the arm does not reach [rad]
 UP = np.array([0.0, 0.0, 1.0])
 ARRIVED = 0.3  # Largest error of a joint at which the object is let go [largest steps]
@@ -36,9 +42,13 @@ class PlaceTeacher(LiftTeacher):
         self, state: EpisodeState[LiftSimulator], tray_centres: Floats
     ) -> None:
         super().__init__(state)
+        arm = build_scene(state.scene.robot, state.scene.targets[:1])
+        self._solver = InverseKinematics.of_task(arm, state)
         self._trays = tray_centres
         over = [self._over_tray(centre) for centre in tray_centres]
         self._lower = np.stack(over)  # (T, K, H, A)
+        back = [self._back(lower[:, -1]) for lower in self._lower]
+        self._leave = np.stack(back)  # (T, K, B, A)
 
     def _over_tray(self, centre: Floats) -> Floats:
         """Return joint angles with each object over a tray, at each height, (K, H, A) [rad]."""
@@ -49,8 +59,7 @@ class PlaceTeacher(LiftTeacher):
         start = self._rise[-1](numbers, middle)
         places = np.tile(centre, (len(targets), 1))
         position, matrix = state.goal_frames(numbers, places)
-        arm = build_scene(state.scene.robot, targets[:1])
-        solver = InverseKinematics.of_task(arm, state)
+        solver = self._solver
         on_tray = np.column_stack([places, np.full(len(targets), THICK_M)])
         offset = position.copy()
         offset[:, :2] -= places
@@ -76,13 +85,19 @@ class PlaceTeacher(LiftTeacher):
             found[is_better] = np.stack(way, axis=1)[is_better]
         return found
 
+    def _back(self, joints: Floats) -> Floats:
+        """Return joint angles on the way back from objects let go at (K, A), (K, B, A) [rad]."""
+        position, matrix = self._solver.pose(joints)
+        back = -matrix.reshape(-1, 3, 3)[:, :, 2]
+        shifts = np.stack([distance * back for distance in BACK_M])
+        way = self._solver.solve_way(position, matrix, joints, shifts)
+        return np.concatenate([joints[:, None], way], axis=1)
+
     def _with_object(self, joints: Floats) -> tuple[Floats, Mask]:
         """See `LiftTeacher._with_object`: on the way to the tray, at whose end they let go."""
         state = self._state
-        destination = state.memory[DESTINATION][:, None]
-        tray = norm(self._trays - destination, axis=2).argmin(axis=1)
         rise = path_of(self._rise, state.target, state.positions[:, 0])
-        lower = self._lower[tray, state.target].swapaxes(0, 1)  # (H, n, A)
+        lower = self._at_tray(self._lower)
         carry = _between(rise[-1:], lower[:1], CARRY_POINTS)
         lowered = _between(lower[:-1], lower[1:], LOWER_POINTS)
         path = np.concatenate([rise[:-1], *carry, *lowered, lower[-1:]])
@@ -90,13 +105,27 @@ class PlaceTeacher(LiftTeacher):
         error = np.abs(path[-1] - joints).max(axis=1) / self._largest
         return goal, (nearest == len(path) - 1) & (error < ARRIVED)
 
-    def _is_done(self) -> Mask:
-        """See `LiftTeacher._is_done`: where the object is down over the tray."""
+    def _after_release(self, joints: Floats) -> tuple[Floats, Mask]:
+        """See `LiftTeacher._after_release`: back from an object that is down over its tray."""
         state = self._state
         centre = state.simulator.centre(state.target)[:, :2]
         is_down = state.simulator.rise(state.target) < DOWN_M
         is_there = is_over(centre - state.memory[DESTINATION])
-        return state.memory["taken"] & is_down & is_there
+        leave = self._at_tray(self._leave)
+        path = np.concatenate(
+            [*_between(leave[:-1], leave[1:], LOWER_POINTS), leave[-1:]]
+        )
+        goal, _ = followed(path, joints)
+        is_open = state.simulator.joint_positions[:, -1] < OPEN_M
+        goal = np.where(is_open[:, None], goal, joints)
+        return goal, state.memory["taken"] & is_down & is_there
+
+    def _at_tray(self, tables: Floats) -> Floats:
+        """Return the joint angles of each episode's tray and object, (P, n, A), of (T, K, P, A)."""
+        state = self._state
+        way = self._trays - state.memory[DESTINATION][:, None]
+        tray = norm(way, axis=2).argmin(axis=1)
+        return tables[tray, state.target].swapaxes(0, 1)
 
 
 def _between(start: Floats, end: Floats, count: int) -> list[Floats]:
