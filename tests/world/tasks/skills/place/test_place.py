@@ -8,6 +8,7 @@ import pytest
 import knowarm
 from knowarm.errors import UserError
 from knowarm.world.agents import Batch
+from knowarm.world.agents.scripted import TeacherAgent
 from knowarm.world.config import scene_of
 from knowarm.world.robots import ROBOTS, find_robot
 from knowarm.world.tasks import find_task
@@ -160,9 +161,10 @@ def test_a_robot_without_a_tray_is_refused_with_a_remedy():
         Place().area_of(robot)
 
 
-def test_there_is_no_teacher_to_imitate():
-    env = make_env(count=1)
-    with pytest.raises(UserError, match="cannot be imitated"):
-        env.config.task.skill.teacher(env.running)
-    with pytest.raises(UserError, match="cannot be imitated"):
-        knowarm.experiment_config("irb120-choose-place-answers-distil")
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_the_teacher_places_an_object_that_stands_alone(robot):
+    env = make_env(robot, count=16)
+    episodes = knowarm.evaluation_episodes(env.config, 16, seed=0)
+    result = knowarm.play(TeacherAgent(env), env, episodes)
+    assert result.success.mean() >= 0.8
+    assert (result.infos["tray_distance"][result.success] < HALF_M * 2**0.5).all()

@@ -20,15 +20,12 @@ TURNS_DEG = (0, 30, -30, 60, -60, 90, -90)
 """Turns of the object about the vertical on its way to the tray, of which the shortest counts."""
 CARRY_POINTS = 24  # Points on the way to the tray
 LOWER_POINTS = 6  # Points from one height to the next
-BACK_M = (
-    0.02,
-    0.05,
-    0.10,
-)  # Ways of the gripper back from an object that it has let go
+BACK_M = (0.02, 0.05, 0.10)
+"""Distances of the gripper, along its approach, from where it let go of an object."""
 OPEN_M = 0.002  # Way of a finger from fully open at which it has opened
 UNREACHED = 1000.0  # Cost of a pose over the tray that the arm does not reach [rad]
-UP = np.array([0.0, 0.0, 1.0])
 ARRIVED = 0.3  # Largest error of a joint at which the object is let go [largest steps]
+UP = np.array([0.0, 0.0, 1.0])
 
 
 class PlaceTeacher(LiftTeacher):
@@ -53,37 +50,45 @@ class PlaceTeacher(LiftTeacher):
     def _over_tray(self, centre: Floats) -> Floats:
         """Return joint angles with each object over a tray, at each height, (K, H, A) [rad]."""
         state = self._state
-        targets = state.scene.targets
-        numbers = np.arange(len(targets))
-        middle = np.tile(state.scene.robot.rectangle_centre_m, (len(targets), 1))
+        count = len(state.scene.targets)
+        numbers = np.arange(count)
+        middle = np.tile(state.scene.robot.rectangle_centre_m, (count, 1))
         start = self._rise[-1](numbers, middle)
-        places = np.tile(centre, (len(targets), 1))
+        places = np.tile(centre, (count, 1))
         position, matrix = state.goal_frames(numbers, places)
-        solver = self._solver
-        on_tray = np.column_stack([places, np.full(len(targets), THICK_M)])
-        offset = position.copy()
-        offset[:, :2] -= places
-        best = np.full(len(targets), np.inf)
-        found = np.zeros((len(targets), len(HEIGHTS_M), start.shape[1]))
+        on_tray = np.append(centre, THICK_M)
+        offset = position - [*centre, 0.0]
+        found = np.zeros((count, len(HEIGHTS_M), start.shape[1]))
+        least = np.full(count, np.inf)
         for degrees in TURNS_DEG:
             turn = rotation(2, degrees)
             goal = on_tray + offset @ turn.T
             goal_matrix = (turn @ matrix.reshape(-1, 3, 3)).reshape(-1, 9)
-            joints = start
-            way = []
-            cost = np.zeros(len(targets))
-            for height in HEIGHTS_M:
-                raised = goal + height * UP
-                solution = solver.solve(raised, goal_matrix, joints)
-                is_reached = solution.within(REACHED_M, REACHED_DEG)
-                moved = np.abs(solution.joints - joints).max(axis=1)
-                cost += np.where(is_reached, moved, UNREACHED)
-                joints = solution.joints
-                way.append(joints)
-            is_better = cost < best
-            best[is_better] = cost[is_better]
-            found[is_better] = np.stack(way, axis=1)[is_better]
+            joints, cost = self._downwards(goal, goal_matrix, start)
+            is_shorter = cost < least
+            found[is_shorter] = joints[is_shorter]
+            least[is_shorter] = cost[is_shorter]
         return found
+
+    def _downwards(
+        self, position: Floats, matrix: Floats, joints: Floats
+    ) -> tuple[Floats, Floats]:
+        """Solve for the heights above grasp frames (K,), each from the one before.
+
+        Returns:
+            Joint angles (K, H, A) [rad], and the way to them from ``joints`` (K, A), where it is
+            not reached `UNREACHED`, (K,) [rad].
+        """
+        cost = np.zeros(len(joints))
+        way = []
+        for height in HEIGHTS_M:
+            solution = self._solver.solve(position + height * UP, matrix, joints)
+            moved = np.abs(solution.joints - joints).max(axis=1)
+            is_reached = solution.within(REACHED_M, REACHED_DEG)
+            cost += np.where(is_reached, moved, UNREACHED)
+            joints = solution.joints
+            way.append(joints)
+        return np.stack(way, axis=1), cost
 
     def _back(self, joints: Floats) -> Floats:
         """Return joint angles on the way back from objects let go at (K, A), (K, B, A) [rad]."""
@@ -112,9 +117,8 @@ class PlaceTeacher(LiftTeacher):
         is_down = state.simulator.rise(state.target) < DOWN_M
         is_there = is_over(centre - state.memory[DESTINATION])
         leave = self._at_tray(self._leave)
-        path = np.concatenate(
-            [*_between(leave[:-1], leave[1:], LOWER_POINTS), leave[-1:]]
-        )
+        backwards = _between(leave[:-1], leave[1:], LOWER_POINTS)
+        path = np.concatenate([*backwards, leave[-1:]])
         goal, _ = followed(path, joints)
         is_open = state.simulator.joint_positions[:, -1] < OPEN_M
         goal = np.where(is_open[:, None], goal, joints)
