@@ -53,6 +53,7 @@ class LiftTeacher(Teacher):
         nearness = min(1.0, float(self._largest) / CLOSE_RAD)
         self._close_m = nearness * CLOSE_M
         self._close_deg = nearness * CLOSE_DEG
+        self._opened_m = 0.0  # Where fingers go that open
         back = -state.scene.grasp_matrix[:, :, 2]
         up = np.tile([0.0, 0.0, 1.0], (len(back), 1))
         shifts = [distance * back for distance in APPROACH_M]
@@ -97,7 +98,7 @@ class LiftTeacher(Teacher):
         )
         grips = ~is_closed & ~has_left & is_at_grasp
         closes = (is_held & ~lets_go) | is_closing | grips
-        finger_goals = np.where(closes, closed_m, 0.0)
+        finger_goals = np.where(closes, closed_m, self._opened_m)
         goals = np.column_stack([arm_goal, finger_goals])
         return (goals - state.joint_targets) / self._largest
 
@@ -108,7 +109,7 @@ class LiftTeacher(Teacher):
             Joint angles (n, A) [rad], and whether the fingers let it go there, (n,).
         """
         places = self._state.positions[:, 0]
-        goal, _ = followed(path_of(self._rise, self._state.target, places), joints)
+        goal = followed(path_of(self._rise, self._state.target, places), joints)
         return goal, np.zeros(len(joints), bool)
 
     def _after_release(self, joints: Floats) -> tuple[Floats, Mask]:
@@ -147,15 +148,14 @@ def path_of(tables: Sequence[GoalTable], objects: Integers, places: Floats) -> F
     return np.concatenate([*points, poses[-1:]])
 
 
-def followed(path: Floats, joints: Floats) -> tuple[Floats, Integers]:
-    """Return what arms with joint angles (n, A) aim at on paths (W, n, A), and the nearest point.
+def followed(path: Floats, joints: Floats) -> Floats:
+    """Return where arms with joint angles (n, A) go next on their paths (W, n, A), (n, A) [rad].
 
-    Returns:
-        Joint angles `AHEAD` points from the nearest one, (n, A) [rad], and its number, (n,).
+    It is `AHEAD` points after the one that is nearest.
     """
     nearest = _largest_errors(path, joints).argmin(axis=0)
     ahead = np.minimum(nearest + AHEAD, len(path) - 1)
-    return path[ahead, np.arange(len(joints))], nearest
+    return path[ahead, np.arange(len(joints))]
 
 
 def _largest_errors(points: Floats, joints: Floats) -> Floats:

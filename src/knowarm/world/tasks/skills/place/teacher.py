@@ -22,9 +22,12 @@ CARRY_POINTS = 24  # Points on the way to the tray
 LOWER_POINTS = 6  # Points from one height to the next
 BACK_M = (0.02, 0.05, 0.10)
 """Distances of the gripper, along its approach, from where it let go of an object."""
+LOW_M = 0.012  # Rise of an object over its tray from which it may be let go
 OPEN_M = 0.002  # Way of a finger from fully open at which it has opened
 UNREACHED = 1000.0  # Cost of a pose over the tray that the arm does not reach [rad]
-ARRIVED = 0.3  # Largest error of a joint at which the object is let go [largest steps]
+ARRIVED = 0.6
+"""Largest error of a joint at which an object is let go [largest steps]: a student has no smaller
+steps, and so stops within half of one."""
 UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -42,6 +45,8 @@ class PlaceTeacher(LiftTeacher):
         arm = build_scene(state.scene.robot, state.scene.targets[:1])
         self._solver = InverseKinematics.of_task(arm, state)
         self._trays = tray_centres
+        # Past their stop, so that the largest step alone opens them all the way
+        self._opened_m = -float(self._largest)
         over = [self._over_tray(centre) for centre in tray_centres]
         self._lower = np.stack(over)  # (T, K, H, A)
         back = [self._back(lower[:, -1]) for lower in self._lower]
@@ -95,7 +100,7 @@ class PlaceTeacher(LiftTeacher):
         position, matrix = self._solver.pose(joints)
         back = -matrix.reshape(-1, 3, 3)[:, :, 2]
         shifts = np.stack([distance * back for distance in BACK_M])
-        way = self._solver.solve_way(position, matrix, joints, shifts)
+        way = self._solver.solve_path(position, matrix, joints, shifts)
         return np.concatenate([joints[:, None], way], axis=1)
 
     def _with_object(self, joints: Floats) -> tuple[Floats, Mask]:
@@ -106,23 +111,27 @@ class PlaceTeacher(LiftTeacher):
         carry = _between(rise[-1:], lower[:1], CARRY_POINTS)
         lowered = _between(lower[:-1], lower[1:], LOWER_POINTS)
         path = np.concatenate([rise[:-1], *carry, *lowered, lower[-1:]])
-        goal, nearest = followed(path, joints)
         error = np.abs(path[-1] - joints).max(axis=1) / self._largest
-        return goal, (nearest == len(path) - 1) & (error < ARRIVED)
+        lets_go = (error < ARRIVED) | self._is_over_tray(LOW_M)
+        return followed(path, joints), lets_go
 
     def _after_release(self, joints: Floats) -> tuple[Floats, Mask]:
         """See `LiftTeacher._after_release`: back from an object that is down over its tray."""
-        state = self._state
-        centre = state.simulator.centre(state.target)[:, :2]
-        is_down = state.simulator.rise(state.target) < DOWN_M
-        is_there = is_over(centre - state.memory[DESTINATION])
         leave = self._at_tray(self._leave)
         backwards = _between(leave[:-1], leave[1:], LOWER_POINTS)
         path = np.concatenate([*backwards, leave[-1:]])
-        goal, _ = followed(path, joints)
-        is_open = state.simulator.joint_positions[:, -1] < OPEN_M
+        goal = followed(path, joints)
+        is_open = self._simulator.joint_positions[:, -1] < OPEN_M
         goal = np.where(is_open[:, None], goal, joints)
-        return goal, state.memory["taken"] & is_down & is_there
+        return goal, self._is_over_tray(DOWN_M)
+
+    def _is_over_tray(self, height_m: float) -> Mask:
+        """Return which objects that were taken are over their tray, below a rise, (n,)."""
+        state = self._state
+        centre = self._simulator.centre(state.target)[:, :2]
+        is_there = is_over(centre - state.memory[DESTINATION])
+        is_low = self._simulator.rise(state.target) < height_m
+        return state.memory["taken"] & is_there & is_low
 
     def _at_tray(self, tables: Floats) -> Floats:
         """Return the joint angles of each episode's tray and object, (P, n, A), of (T, K, P, A)."""
