@@ -7,7 +7,7 @@ from knowarm.arrays import Floats, Mask
 from knowarm.world.scene.scene import build_scene
 from knowarm.world.tasks.skills.guides import DESTINATION
 from knowarm.world.tasks.skills.ik import REACHED_DEG, REACHED_M, InverseKinematics
-from knowarm.world.tasks.skills.lift.guide import rotation
+from knowarm.world.tasks.skills.lift.guide import UNREACHED, UP, rotation
 from knowarm.world.tasks.skills.lift.simulator import LiftSimulator
 from knowarm.world.tasks.skills.lift.teacher import LiftTeacher, followed, path_of
 from knowarm.world.tasks.skills.place.tray import DOWN_M, THICK_M, is_over
@@ -24,11 +24,9 @@ BACK_M = (0.02, 0.05, 0.10)
 """Distances of the gripper, along its approach, from where it let go of an object."""
 LOW_M = 0.012  # Rise of an object over its tray from which it may be let go
 OPEN_M = 0.002  # Way of a finger from fully open at which it has opened
-UNREACHED = 1000.0  # Cost of a pose over the tray that the arm does not reach [rad]
 ARRIVED = 0.6
 """Largest error of a joint at which an object is let go [largest steps]: a student has no smaller
 steps, and so stops within half of one."""
-UP = np.array([0.0, 0.0, 1.0])
 
 
 class PlaceTeacher(LiftTeacher):
