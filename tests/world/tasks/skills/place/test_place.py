@@ -50,6 +50,27 @@ def test_the_oracle_places_objects_on_the_tray(robot):
     assert not result.infos["gripped"][result.success].any()
 
 
+def test_holding_on_over_the_tray_returns_less_than_letting_go():
+    """Otherwise the network with the best return is one that never lets go."""
+
+    class Holder(Student):
+        def act(self, observations):
+            actions = super().act(observations)
+            is_taken = self._env.running.memory["taken"]
+            actions[is_taken & (actions[:, -1] == OPEN), -1] = 0
+            return actions
+
+    env = make_env("tiago", count=6)
+    episodes = knowarm.evaluation_episodes(env.config, 6, seed=0)
+    placed = knowarm.play(Student(env), env, episodes)
+    held = knowarm.play(Holder(env), env, episodes)
+    assert placed.success.sum() >= 4
+    assert not held.success.any()
+    assert held.infos["gripped"].sum() >= 4
+    both = placed.success & held.infos["gripped"]
+    assert (placed.episode_return[both] > held.episode_return[both]).all()
+
+
 def test_of_several_objects_the_oracle_places_the_one_that_answers():
     count = thorough(8, 12)
     env = make_env(count=count, task="choose-place")

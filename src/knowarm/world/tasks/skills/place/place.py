@@ -177,13 +177,15 @@ class Place(Lift):
     def reward(self, state: State) -> Floats:
         """Compute the reward of a step, (n,).
 
-        100 on success; otherwise, while both fingers touch the object, 5 - 10 d with d its distance
-        from the tray [m]; otherwise the paper's -2 d^2 - a / 70 to the grasp frame.
+        100 on success, and 5 for every step that is left, so that an arm that holds the object over
+        the tray gains by letting go; otherwise, while both fingers touch the object, 5 - 10 d with
+        d its distance from the tray [m]; otherwise the paper's -2 d^2 - a / 70 to the grasp frame.
         """
         held = HELD_REWARD - 10 * norm(_tray_offset(state), axis=1)
         to_grasp = paper_reward(state.distance, state.angle, state.success)
         value = np.where(state.simulator.touched(state.target), held, to_grasp)
-        return np.where(state.success, SUCCESS_REWARD, value)
+        left = (self.max_steps - state.steps).clip(min=0)
+        return np.where(state.success, SUCCESS_REWARD + HELD_REWARD * left, value)
 
     def infos(self, state: State) -> NamedArrays:
         """Add how far the object is from the tray [m], and how the episode ends."""
