@@ -1,4 +1,4 @@
-"""Draw the images of the tutorials: a trained arm, a report, and answers to questions.
+"""Draw images of tutorials and guides: film strips, a report, and answers to questions.
 
 python -m scripts.draw_first_pages           # writes to docs/images; needs Playwright and Chromium
 python -m scripts.draw_first_pages answers   # one kind of them: films, report or answers
@@ -32,10 +32,14 @@ book,usedFor,reading
 
 
 def draw_films(folder: Path) -> None:
-    """Draw film strips of the first agent, and of the task of one's own."""
+    """Draw film strips of the first agent, of the oracle, and of the task of one's own."""
     strip = ["--strip", str(folder / "first-agent.png")]
     agent = ["--agent", "zoo/tiago-full-fast"]
     knowarm(["view", *agent, "--episodes", "2", "--seed", "4", *strip])
+    strip = ["--strip", str(folder / "oracle-irb120.png")]
+    knowarm(["view", "irb120", "--episodes", "3", "--seed", "4", *strip])
+    strip = ["--strip", str(folder / "axes.png"), "--axes"]
+    knowarm(["view", "tiago", "--targets", "bottle", "--episodes", "1", *strip])
     strip = ["--strip", str(folder / "own-task.png")]
     task = ["--task", "examples.own_task.hover:Hover"]
     knowarm(["view", "irb120", *task, "--episodes", "1", *strip])
@@ -102,8 +106,8 @@ def main() -> None:
             KINDS[kind](folder)
         for path in sorted(folder.glob("*.png")):
             image = Image.open(path).convert("RGB")
-            # A median cut keeps the grey of the background, of which most of an image consists.
-            image = image.quantize(COLOURS, Image.Quantize.MEDIANCUT)
+            # An octree keeps the grey of the background and the colours of thin lines.
+            image = image.quantize(COLOURS, Image.Quantize.FASTOCTREE)
             image.save(IMAGES / path.name, optimize=True)
             print(f"Wrote {IMAGES / path.name}")
 
