@@ -12,7 +12,10 @@ from knowarm.knowledge.graph.homonyms import find_object
 from knowarm.knowledge.graph.terms import RDF_TYPE
 from knowarm.knowledge.queries.queries import QueryGraph
 from knowarm.questions import Query
+from tests.thorough import thorough
 
+GRAPHS = thorough(300, 1_000)
+"""Random graphs of a test."""
 OBJECTS = ("mug", "bowl", "lamp")
 FACETS = [(name, colour) for name in OBJECTS for colour in ("blue", "red")]
 
@@ -260,7 +263,7 @@ def no_hints(monkeypatch):
 def test_no_object_answers_a_question_and_its_negation():
     rng = np.random.default_rng(7)
     both = 0
-    for _ in range(1_000):
+    for _ in range(GRAPHS):
         graph = random_graph(rng)
         question = random_question(rng, graph, 2)
         negation = f"not ({question})"
@@ -268,7 +271,7 @@ def test_no_object_answers_a_question_and_its_negation():
         negative = facets_that_answer(graph, negation)
         assert positive.isdisjoint(negative), (list(graph), question)
         both += bool(positive and negative)
-    assert both > 250
+    assert both > GRAPHS / 4
 
 
 @pytest.mark.usefixtures("no_hints")
@@ -276,7 +279,7 @@ def test_a_relation_renamed_to_its_negation_never_answers_the_positive_question(
     rng = np.random.default_rng(8)
     affirmed = {"usedFor": "notUsedFor", "contains": "doesNotContain", "isA": "isNotA"}
     answered = 0
-    for _ in range(1_000):
+    for _ in range(GRAPHS):
         graph = random_graph(rng)
         relation = str(rng.choice(sorted(affirmed)))
         positive = [(h, r, t) for h, r, t in graph if r == relation]
@@ -292,7 +295,7 @@ def test_a_relation_renamed_to_its_negation_never_answers_the_positive_question(
         question = f"{relation} {value}"
         answered += bool(names(graph, question))
         assert names(graph_of(renamed), question) == set()
-    assert answered > 200
+    assert answered > GRAPHS / 5
 
 
 def test_confidence_decides_as_in_an_evaluation():

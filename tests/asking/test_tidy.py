@@ -20,10 +20,11 @@ from knowarm.knowledge.graph.edits import edited
 from knowarm.world.config import facets_of
 from knowarm.world.tasks.skills.sort.belongings import true_belongings
 from knowarm.world.tasks.skills.sort.sort import apart
+from tests.thorough import thorough
 
 ZOO = Path(__file__).parents[2] / "zoo"
 RUN = ZOO / "tiago-choose-sort-answers-seen"
-SCENES = 3
+SCENES = thorough(2, 3)
 
 
 @pytest.fixture(scope="module")
