@@ -23,6 +23,7 @@ from knowarm.world.robots import ROBOTS
 from knowarm.world.scene.appearance import resting_colours
 from knowarm.world.scene.compose import roll
 from knowarm.world.scene.scene import build_scene, project
+from tests.thorough import thorough
 
 CONFIG = EnvConfig(robot="irb120")
 WIDTH, HEIGHT = 640, 480
@@ -163,11 +164,18 @@ def direction(generator) -> np.ndarray:
 @pytest.mark.parametrize(
     ("changes", "noise_px", "cameras", "tries", "least", "most"),
     [
-        (lambda g: {}, 0.5, 5, 20, 0.95, 1),
-        (lambda g: {}, 1, 5, 100, 0.95, 1),
-        (lambda g: {}, 2, 20, 40, 0.95, 1),
-        (lambda g: {"shift": 0.03 * direction(g)}, 1, 5, 40, 0, 0.05),
-        (lambda g: {"roll_deg": 3.0 * g.choice([-1, 1])}, 1, 5, 40, 0, 0.05),
+        (lambda g: {}, 0.5, 5, thorough(10, 20), 0.95, 1),
+        (lambda g: {}, 1, 5, thorough(20, 200), 0.95, 1),
+        (lambda g: {}, 2, 20, thorough(10, 200), 0.95, 1),
+        (lambda g: {"shift": 0.03 * direction(g)}, 1, 5, thorough(20, 40), 0, 0.05),
+        (
+            lambda g: {"roll_deg": 3.0 * g.choice([-1, 1])},
+            1,
+            5,
+            thorough(20, 40),
+            0,
+            0.05,
+        ),
     ],
     ids=["right .5", "right 1", "right 2", "3 cm", "3 degrees"],
 )
