@@ -2,10 +2,12 @@
 
 import html
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
 
+from knowarm.experiment.summary import Summary
 from knowarm.report import write_report
 from knowarm.study.pack import unpack_study
 from scripts.build_answer import main
@@ -32,6 +34,8 @@ NUMBERS = ("four", "five", "six", "seven", "eight", "nine", "ten")
 
 @pytest.mark.slow(8)
 def test_the_page_is_what_the_packs_say(tmp_path, monkeypatch):
+    """Summaries are read once each: pages and counts of runs share them."""
+    monkeypatch.setattr(Summary, "read", cache(Summary.read))
     out = tmp_path / "answer.md"
     monkeypatch.setattr("sys.argv", ["build_answer", "--out", str(out)])
     main()

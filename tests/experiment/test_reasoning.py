@@ -29,6 +29,7 @@ from knowarm.perception.recognition import AnsweringAgent
 from knowarm.world.config import facets_of, questions_of
 from knowarm.world.tasks.asked.query.query import CHOOSE_TARGETS
 from tests.experiment.test_zoo import ZOO
+from tests.thorough import thorough
 from tests.tiny import CHOOSE, CHOOSE_ENV
 
 ASKED = [
@@ -36,7 +37,7 @@ ASKED = [
     for name, agent in AGENTS.items()
     if agent.knows.scope == "query" and "choose" in tasks_of(agent)
 ]
-BRIEF = {"episodes": 60, "probes": (), "write": False}
+BRIEF = {"episodes": thorough(40, 60), "probes": (), "write": False}
 
 
 def test_an_agent_trains_with_the_answers_of_its_graph_and_plays_from_its_folder(

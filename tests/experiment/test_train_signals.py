@@ -16,6 +16,7 @@ from knowarm.cli.main import main
 from knowarm.experiment.csv_log import read_csv
 from knowarm.experiment.run import train
 from knowarm.experiment.run_folder import RunFolder
+from tests.thorough import thorough
 from tests.tiny import ALGORITHM, flags
 
 WAIT_S = 120.0
@@ -83,12 +84,12 @@ def test_a_signal_saves_the_run_and_the_printed_command_goes_on(tmp_path):
 
 
 A3C = {
-    "total_steps": 1500,
+    "total_steps": 700,
     "checkpoint_every_steps": 200,
     "algorithm": {"workers": 2, "log_every_steps": 100},
     "interim": {"every_steps": 100, "episodes": 2},
 }
-"""Fifteen updates, with a checkpoint after every second and an evaluation after each."""
+"""Seven updates, with a checkpoint after every second and an evaluation after each."""
 NAME = "irb120-bm-a3c"
 
 
@@ -110,12 +111,12 @@ def content(folder):
     return stored, curves
 
 
-@pytest.mark.parametrize("number", range(2))
+@pytest.mark.parametrize("number", range(thorough(1, 4)))
 def test_a_run_killed_at_a_random_moment_goes_on_from_a_copy_to_the_same_bytes(
     tmp_path, uninterrupted, number
 ):
     folder = RunFolder(tmp_path / "runs" / NAME / "0")
-    moment = random.Random(number).uniform(1, 15)
+    moment = random.Random(number).uniform(1, 7)
     command = [
         sys.executable,
         "-m",
@@ -139,13 +140,13 @@ def test_a_run_killed_at_a_random_moment_goes_on_from_a_copy_to_the_same_bytes(
 
 def test_a_run_in_slices_equals_an_uninterrupted_one(tmp_path, uninterrupted, capsys):
     command = ["train", NAME, "--runs", str(tmp_path), *flags(A3C), "--until-step"]
-    assert main([*command, "350"]) == 0
+    assert main([*command, "150"]) == 0
     printed = capsys.readouterr().out
-    assert "Paused at step 400 of 1,500 and saved" in printed
+    assert "Paused at step 200 of 700 and saved" in printed
     again = shlex.split(printed.split("Resume with: knowarm ")[1].splitlines()[0])
     assert "--until-step" not in again
-    assert RunFolder(tmp_path / NAME / "0").experiment().total_steps == 1500
-    paused = train(NAME, tmp_path, resume=True, until_step=800, **A3C)
-    assert (paused.result.step, paused.result.reason) == (800, "stopped")
+    assert RunFolder(tmp_path / NAME / "0").experiment().total_steps == 700
+    paused = train(NAME, tmp_path, resume=True, until_step=400, **A3C)
+    assert (paused.result.step, paused.result.reason) == (400, "stopped")
     assert main(again) == 0
     assert content(RunFolder(tmp_path / NAME / "0")) == content(uninterrupted)

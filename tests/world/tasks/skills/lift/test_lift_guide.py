@@ -15,8 +15,9 @@ from knowarm.world.config import questions_of, scene_of
 from knowarm.world.tasks import find_task
 from knowarm.world.tasks.skills.guides import Guide, Sight
 from knowarm.world.tasks.skills.lift.guide import CLOSED, Surroundings
+from tests.thorough import thorough
 
-COUNT = 24
+COUNT = thorough(16, 24)
 
 
 def make_env(robot, count=COUNT):
