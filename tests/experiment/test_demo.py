@@ -1,4 +1,5 @@
 import dataclasses
+import shutil
 
 import pytest
 
@@ -24,9 +25,8 @@ def test_the_demo_trains_evaluates_and_resumes(tmp_path, monkeypatch, no_search)
     monkeypatch.setattr(
         "knowarm.experiment.evaluate.evaluate", lambda *a, **o: evaluated.append(a)
     )
-    stopped = demo(
-        tmp_path / "stopped", steps=1536, should_stop=lambda: len(evaluated) > 0
-    )
+    trained = shutil.copytree(tmp_path, tmp_path.parent / "trained")
+    stopped = demo(trained, steps=1536, should_stop=lambda: len(evaluated) > 0)
     assert (stopped, len(evaluated)) == (None, 2)
     roles = [AGENTS[config.agent].role for config in demo_experiments(1536)]
     assert roles == ["baseline", "knowledge"]
