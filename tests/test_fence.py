@@ -180,9 +180,12 @@ def test_time_is_that_of_a_call(second):
 
 def test_a_parser_that_takes_too_long_is_ended(monkeypatch):
     monkeypatch.setattr(fence, "SECONDS", 1)
-    monkeypatch.setattr(fence, "WAIT", 0)
-    with pytest.raises(ValueError, match="takes more than 0 s"):
-        fenced(hang)
+    monkeypatch.setattr(fence, "WAIT", 2)
+    looks = []
+    monkeypatch.setattr(fence, "_waiting", lambda process: looks.append(time.sleep(1)))
+    with pytest.raises(ValueError, match="takes more than 2 s"):
+        fenced(time.sleep, 300)
+    assert len(looks) <= 2
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="is no Linux")

@@ -124,7 +124,8 @@ class Fence:
         seconds = WAIT * self._seconds
         idle = 0
         before = ""
-        for _ in range(math.ceil(seconds / LOOK)):
+        end = time.monotonic() + seconds  # looks take longer on a busy machine
+        while time.monotonic() < end:
             if self._pipe.poll(LOOK):
                 return ""
             now = _waiting(self._process)

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from knowarm.errors import packages_of
+from knowarm.reading import one_line
 
 with packages_of("serve", "Serving"):
     import msgpack
@@ -28,7 +29,7 @@ def unpack(data: bytes | str) -> Any:
         return msgpack.unpackb(data, object_hook=_unpack_array)
     except Exception as error:  # NumPy and msgpack raise many types
         raise ValueError(
-            f"the message is no msgpack map of numbers and arrays: {error}"
+            f"the message is no msgpack map of numbers and arrays: {one_line(error)}"
         ) from error
 
 
