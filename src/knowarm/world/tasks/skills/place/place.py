@@ -39,6 +39,7 @@ STILL_M = 0.001  # Largest way of the centre of mass in a step at rest
 UPRIGHT_DEG = 15.0
 TOPPLED_DEG = 45.0
 HELD_REWARD = 5.0
+IMITATION_STEPS = 1_000_000
 
 OUTCOMES = ("placed", "beside", "fallen", "disturbed", "unstable", "unfinished")
 """How an episode ended: on the tray; put down beside it; toppled or fallen, by the arm or at the
@@ -88,10 +89,10 @@ class Place(Lift):
     """Consecutive steps at rest on the tray, released, that count as success."""
 
     def training(self, algorithm: str, asked: Asking) -> Mapping[str, Any]:
-        """Imitate for twice as long as lifting: episodes are twice as long."""
+        """Imitate with the limits of lifting, for longer: episodes are twice as long."""
         fields = dict(super().training(algorithm, asked))
-        if "total_steps" in fields:
-            fields["total_steps"] *= 2
+        if fields:
+            fields["total_steps"] = IMITATION_STEPS
         return fields
 
     def areas_to_try(self, robot: Robot) -> Iterator[dict[str, Any]]:
