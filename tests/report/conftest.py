@@ -15,6 +15,7 @@ from tests.report.synthetic_study import (
     write_evaluation,
     write_study,
 )
+from tests.thorough import without_forks
 
 
 @dataclass(frozen=True)
@@ -57,4 +58,5 @@ def made(tmp_path_factory) -> Made:
         write_evaluation(
             path / "evaluation" / "anova", path.parent.name, 0.5, env, generator, many
         )
-    return Made(write_report(runs, folder / "report.html"), runs)
+    with without_forks():
+        return Made(write_report(runs, folder / "report.html"), runs)
