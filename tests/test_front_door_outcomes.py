@@ -12,6 +12,7 @@ import knowarm
 from knowarm.config import to_dict
 from knowarm.statistics import share_difference, wilson
 from tests.source_tree import ROOT
+from tests.thorough import thorough
 
 ZOO = ROOT / "zoo"
 POLICIES = sorted(
@@ -22,6 +23,15 @@ POLICIES = sorted(
 )
 CHOOSERS = [name for name in POLICIES if "-choose-" in name]
 CHOOSER = "irb120-choose-answers-fast"
+PLAYED = (
+    "irb120-choose-subgraph-fast",
+    "irb120-full-fast",
+    "tiago-choose-answers-fast",
+    "tiago-lift-full-distil",
+)
+"""Of each agent, robot and task one."""
+EVALUATED = thorough(50, 100)
+"""Episodes that `evaluate` plays."""
 TRAINING = {"distance_m": 0.05, "angle_deg": 15.0}  # the thresholds of environments
 
 
@@ -44,11 +54,11 @@ def ends(agent, env, seed, ask=lambda env, infos: infos):
     return found
 
 
-@pytest.mark.parametrize("name", POLICIES)
+@pytest.mark.parametrize("name", thorough(PLAYED, POLICIES))
 def test_a_policy_reaches_its_targets_and_succeeds_in_each_environment_as_often(name):
     agent = knowarm.load_agent(ZOO / name)
     summary = knowarm.evaluate(
-        agent, episodes=100, probes=(), write=False, **TRAINING
+        agent, episodes=EVALUATED, probes=(), write=False, **TRAINING
     ).summary
     env = gymnasium.make(
         knowarm.world.env_id(agent.config.env.robot, agent.config.env.task.name)
@@ -72,7 +82,7 @@ def test_a_policy_reaches_its_targets_and_succeeds_in_each_environment_as_often(
         assert (
             min(t["success"].estimate for t in summary.groups["target"].values()) >= 0.8
         )
-    measured = wilson(round(summary["success"] * 100), 100)
+    measured = wilson(round(summary["success"] * EVALUATED), EVALUATED)
     for successes in (alone, [bool(end["is_success"]) for end in found]):
         played = wilson(int(sum(successes)), len(successes))
         difference = share_difference(played, measured)  # its 95 % interval

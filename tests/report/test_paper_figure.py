@@ -12,6 +12,8 @@ from knowarm.reading import read_json
 from knowarm.report.figure import COLOURS
 from knowarm.svg import style_sheet
 
+pytestmark = pytest.mark.usefixtures("unfenced")
+
 
 @pytest.fixture(scope="module")
 def sentence(made):
