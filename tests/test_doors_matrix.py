@@ -294,8 +294,8 @@ def test_environments_of_stable_baselines_give_the_same_actions(name):
     same(list(map(np.array, chosen)), expected, "SB3VecEnv")
 
 
-EXPORTED = ("irb120-choose-subgraph-fast", "irb120-full-fast", "tiago-lift-full-distil")
-"""Of each agent, robot and task one; with the policy of which six episodes are played."""
+EXPORTED = ("tiago-lift-full-distil",)
+"""Beside the policy of which six episodes are played; tests/deploy/test_export.py exports more."""
 
 
 @pytest.mark.parametrize(
