@@ -15,6 +15,7 @@ from knowarm.experiment.run import train
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.report.collect import collect
 from tests.snippets.test_snippets import PAGES
+from tests.thorough import thorough
 from tests.tiny import ALGORITHM, flags, short
 
 ROOT = Path(__file__).parents[2]
@@ -112,7 +113,8 @@ def test_documented_trainings_are_evaluated_with_their_best_network(
     assert {24_000, 80_000, 200_000} <= numbers["distil"]
     assert 500_000 in numbers["fast"]
     trainer = experiment_config(f"irb120-bm-{algorithm}").algorithm.name
-    for steps in sorted({min(each // SCALE, MOST) for each in numbers[algorithm]}):
+    scaled = {min(each // SCALE, MOST) for each in numbers[algorithm]}
+    for steps in sorted(thorough({min(scaled), max(scaled)}, scaled)):
         every = steps * 2 // 3
         short = {"total_steps": steps, "interim": {"every_steps": every, "episodes": 2}}
         updates = SMALL[trainer] | {"rollout_steps": 2}  # of at most eight steps
