@@ -79,7 +79,7 @@ def _stop_film(page: Path) -> None:
     found = re.search('data:image/webp;base64,([^"]+)', text)
     assert found is not None
     film = Image.open(BytesIO(base64.b64decode(found[1])))
-    film.seek(film.n_frames - 1)
+    film.seek(getattr(film, "n_frames", 1) - 1)
     last = BytesIO()
     film.save(last, "PNG")
     address = "data:image/png;base64," + base64.b64encode(last.getvalue()).decode()

@@ -6,6 +6,8 @@ from knowarm.asking.answers import answer
 from knowarm.errors import UserError
 from tests.knowledge.ontologies import DISHES, read, some
 
+pytestmark = pytest.mark.usefixtures("unfenced")
+
 
 def test_questions_follow_the_hierarchy(tmp_path):
     graph, _ = read(tmp_path, DISHES + ":Light owl:disjointWith :Dish .")

@@ -17,6 +17,8 @@ from knowarm.knowledge.graph.homonyms import find_object, is_class
 from knowarm.knowledge.graph.terms import literal, numbered
 from tests.source_tree import ROOT
 
+pytestmark = pytest.mark.usefixtures("unfenced")
+
 OBJECTS = ("mug", "bowl", "book", "brush", "pot", "teapot", "wine_glass")
 FACETS = [(name, colour) for name in OBJECTS for colour in ("red", "blue")]
 OBJECT, ACTION = "http://x.org/object#", "http://x.org/action/"

@@ -24,6 +24,8 @@ from knowarm.world.robots.robot import Robot
 from tests.own_robot.robot_cases import as_urdf
 from tests.world.helpers import EXAMPLES, write_robot
 
+pytestmark = pytest.mark.usefixtures("unfenced")
+
 
 @pytest.mark.parametrize(
     ("options", "words"),

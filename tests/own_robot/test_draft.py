@@ -38,6 +38,8 @@ from tests.own_robot.robot_cases import change
 from tests.own_robot.test_repair import drafted
 from tests.world.helpers import EXAMPLES
 
+pytestmark = pytest.mark.usefixtures("unfenced")
+
 SHIPPED = ROBOTS["irb120"]
 HAND = """
 <mujoco><worldbody><body name="base"><geom size=".05"/>

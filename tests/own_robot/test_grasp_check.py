@@ -9,6 +9,8 @@ from knowarm.own_robot import grasp_check
 from knowarm.own_robot.grasp_check import check_grasps
 from knowarm.world.robots import ROBOTS
 
+pytestmark = pytest.mark.usefixtures("unfenced")
+
 
 def test_a_gripper_lifts_in_its_area_and_not_from_thin_air(monkeypatch) -> None:
     monkeypatch.setattr(grasp_check, "PLACES", 6)

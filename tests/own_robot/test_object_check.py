@@ -11,6 +11,8 @@ from knowarm.world.objects import find_targets
 from knowarm.world.scene.scene import load_scene
 from tests.world.helpers import EXAMPLES
 
+pytestmark = pytest.mark.usefixtures("unfenced")
+
 
 def test_objects_that_can_be_reached_and_told_apart_pass() -> None:
     checks = check_objects("irb120", "choose", ["mug", "can", "book", "bell"])

@@ -16,6 +16,8 @@ from knowarm.world.robots import ROBOTS
 from tests.own_robot.test_robot_check import result_of
 from tests.world.helpers import EXAMPLES, write_robot
 
+pytestmark = pytest.mark.usefixtures("unfenced")
+
 FIELDS = {
     "rectangle_half_size_m": [0.1, 0.3],
     "mpi_rad": 0.08,

@@ -13,6 +13,8 @@ from knowarm.experiment.run_folder import RunFolder
 from knowarm.study.config import StudyConfig
 from tests.source_tree import ROOT
 
+pytestmark = pytest.mark.usefixtures("unfenced")
+
 COMMANDS = {
     "evaluate": lambda run, study: ["evaluate", run],
     "view": lambda run, study: ["view", run],
@@ -67,12 +69,11 @@ GRANTING = {
 
 @pytest.mark.parametrize("function", GRANTING)
 def test_trust_is_granted_where_a_command_trains_freezes_or_names_a_robot(function):
-    source = ROOT / "src" / "knowarm"
     callers = set()
-    for file in source.rglob("*.py"):
-        for node in ast.walk(ast.parse(file.read_text("utf-8"))):
+    for path, tree in modules().items():
+        for node in ast.walk(tree):
             if isinstance(node, ast.Call) and function == getattr(
                 node.func, "id", getattr(node.func, "attr", None)
             ):
-                callers.add(file.relative_to(source).as_posix())
+                callers.add(path)
     assert callers == GRANTING[function]
