@@ -11,7 +11,7 @@ from knowarm.config import to_dict
 from knowarm.experiment.names import experiment_config
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.study.config import StudyConfig
-from tests.source_tree import ROOT
+from tests.source_tree import ROOT, modules
 
 pytestmark = pytest.mark.usefixtures("unfenced")
 
