@@ -296,9 +296,12 @@ def test_suffixes_may_be_in_capitals(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["arm.sdf", "arm.usd", "arm.json"])
-def test_other_models_are_refused_with_those_that_are_read(name: str) -> None:
+def test_other_models_are_refused_with_those_that_are_read(
+    name: str, tmp_path: Path
+) -> None:
+    (tmp_path / name).touch()
     with pytest.raises(UserError, match="Other models than URDF, xacro and MJCF"):
-        find_robot(name)
+        find_robot(str(tmp_path / name))
 
 
 @pytest.mark.parametrize("name", ["arm.urdf", "arm.xml", "arm.urdf.xacro"])

@@ -71,10 +71,11 @@ def test_bad_files_are_named_with_the_field(tmp_path: Path) -> None:
     drive = read_description(write_robot(tmp_path, mjcf="'C:/arms/a.xml'"), Robot)
     # A path, not a Python package C
     assert drive.mjcf.as_posix().endswith("C:/arms/a.xml")
+    (tmp_path / "a.urdf").touch()
     with pytest.raises(UserError, match="Convert it: knowarm doctor --robot"):
         load_scene(str(write_robot(tmp_path, mjcf='"a.urdf"')), ("bottle",))
     with pytest.raises(UserError, match=r"is a model file\. Draft a description"):
-        load_scene("so101.urdf", ("bottle",))
+        load_scene(str(tmp_path / "a.urdf"), ("bottle",))
 
 
 def test_an_arm_with_meshes_from_a_package_can_be_solved(make_env: MakeEnv) -> None:
