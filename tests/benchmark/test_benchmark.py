@@ -565,6 +565,18 @@ def test_a_run_plays_only_cells_of_its_robot_and_task(small):
         trained.make(small.cells["irb120-S1"], None)
 
 
+def test_what_a_network_sees_is_solved_whatever_has_to_be_done_with_it():
+    """A network trained to sort is played where objects are picked, and its policy is not."""
+    run = "zoo/tiago-choose-sort-answers-seen"
+    cells = read_suite("pick-and-place-v1").cells
+    picking = cells["tiago-pick-S1"]
+    env = ArmVectorEnv(picking.env, 4)
+    agent = entrant(f"seen:{run}").make(picking, env)
+    assert run_agent(agent, env, picking.episodes[:4]).sum() >= 2
+    with pytest.raises(UserError, match="was trained for tiago"):
+        entrant(f"seen:{run}").make(cells["irb120-pick-S1"], None)
+
+
 def test_the_commands(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(ROOT / "examples/benchmark")
     short = freeze_short()
