@@ -159,9 +159,10 @@ class Asker:
                         return replace(asked, selection=_selection(failed))
                     failed += 1
             asked = self.play(answers[-1], scenes[0], unclear, where=where)
+            looked_at = len(scenes[:LOOKED_AT])
             selection = (
-                "The scene is the first with an answer: the arm succeeds in none that is clear "
-                f"({failed} tried)."
+                f"The scene is the first with an answer: of {looked_at} that were looked at, the "
+                f"arm succeeds in none that is clear ({failed} tried)."
             )
             return replace(asked, selection=selection)
 

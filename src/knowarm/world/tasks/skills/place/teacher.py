@@ -17,8 +17,8 @@ from knowarm.world.tasks.state import EpisodeState
 HEIGHTS_M = (0.12, 0.08, 0.04, 0.004)
 """Heights of an object above the tray on its way down; at the last one it is let go."""
 TURNS_DEG = (0, 30, -30, 60, -60, 90, -90)
-"""Turns of the object about the vertical on its way to the tray, of which the shortest counts."""
-CARRY_POINTS = 24  # Points on the way to the tray
+"""Turns of the object about the vertical on its path to the tray, of which the shortest counts."""
+CARRY_POINTS = 24  # Points on the path to the tray
 LOWER_POINTS = 6  # Points from one height to the next
 BACK_M = (0.02, 0.05, 0.10)
 """Distances of the gripper, along its approach, from where it let go of an object."""
@@ -33,7 +33,7 @@ class PlaceTeacher(LiftTeacher):
     """Takes an object as `LiftTeacher`, carries it over its tray, lowers it and lets it go.
 
     What it does depends on the state alone, as there: with the object in its grip the arm aims at
-    the point after the one of its way that is nearest.
+    the point after the one of its path that is nearest.
     """
 
     def __init__(
@@ -83,26 +83,26 @@ class PlaceTeacher(LiftTeacher):
             not reached `UNREACHED`, (K,) [rad].
         """
         cost = np.zeros(len(joints))
-        way = []
+        path = []
         for height in HEIGHTS_M:
             solution = self._solver.solve(position + height * UP, matrix, joints)
             moved = np.abs(solution.joints - joints).max(axis=1)
             is_reached = solution.within(REACHED_M, REACHED_DEG)
             cost += np.where(is_reached, moved, UNREACHED)
             joints = solution.joints
-            way.append(joints)
-        return np.stack(way, axis=1), cost
+            path.append(joints)
+        return np.stack(path, axis=1), cost
 
     def _back(self, joints: Floats) -> Floats:
-        """Return joint angles on the way back from objects let go at (K, A), (K, B, A) [rad]."""
+        """Return joint angles on the path back from objects let go at (K, A), (K, B, A) [rad]."""
         position, matrix = self._solver.pose(joints)
         back = -matrix.reshape(-1, 3, 3)[:, :, 2]
         shifts = np.stack([distance * back for distance in BACK_M])
-        way = self._solver.solve_path(position, matrix, joints, shifts)
-        return np.concatenate([joints[:, None], way], axis=1)
+        path = self._solver.solve_path(position, matrix, joints, shifts)
+        return np.concatenate([joints[:, None], path], axis=1)
 
     def _with_object(self, joints: Floats) -> tuple[Floats, Mask]:
-        """See `LiftTeacher._with_object`: on the way to the tray, at whose end they let go."""
+        """See `LiftTeacher._with_object`: on the path to the tray, at whose end they let go."""
         state = self._state
         rise = path_of(self._rise, state.target, state.positions[:, 0])
         lower = self._at_tray(self._lower)
