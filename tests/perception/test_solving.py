@@ -46,9 +46,9 @@ def test_with_true_frames_it_does_what_the_oracle_does(trained):
     with closing(ArmVectorEnv(trained.config.env, 8)) as env:
         episodes = evaluation_episodes(env.config, 8, 3)
         oracle = play(OracleAgent(env), env, episodes)
-        agent._agent.recognize = lambda images: true_frames(trained, env)
+        agent.agent.recognize = lambda images: true_frames(trained, env)
         found = play(agent, env, episodes)
-        del agent._agent.recognize
+        del agent.agent.recognize
     np.testing.assert_array_equal(found.length, oracle.length)
     np.testing.assert_allclose(found.episode_return, oracle.episode_return, atol=1)
 

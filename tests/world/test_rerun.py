@@ -82,3 +82,12 @@ def chunks(path):
 def test_another_suffix_is_refused(tmp_path, capsys):
     assert main(["view", "irb120", "--rrd", str(tmp_path / "episode.mp4")]) == 2
     assert ".rrd" in capsys.readouterr().err
+
+
+def test_what_solves_paths_is_written_with_what_its_network_sees(tmp_path, capsys):
+    run = ROOT / "zoo/tiago-choose-sort-answers-seen"
+    path = tmp_path / "episode.rrd"
+    arguments = ["view", "--agent", str(run), "--rrd", str(path), "--episodes", "1"]
+    assert main(arguments) == 0
+    assert "1 episodes reached" in capsys.readouterr().out
+    assert any("recognition" in str(chunk.entity_path) for chunk in chunks(path))

@@ -28,7 +28,7 @@ from knowarm.perception.config import LEVEL, Unclear
 from knowarm.perception.grounding import centres
 from knowarm.perception.images import first_facets, pixels_of
 from knowarm.perception.recognition import AnswerGrounding, SeenAnswers
-from knowarm.perception.solving import SolvingAgent
+from knowarm.perception.solving import SeeingAgent
 from knowarm.questions import COLOUR_RELATION, ObjectColour
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
@@ -416,7 +416,7 @@ class Asker:
             heat=seen.scores[0].softmax(0).reshape(side, side).numpy(),
             candidates=tuple(compress(named, may_answer)),
             stopped=not answering.moves[0],
-            lacks_place=isinstance(agent, SolvingAgent) and bool(agent.lacks_place[0]),
+            lacks_place=isinstance(agent, SeeingAgent) and bool(agent.lacks_place[0]),
             reached=self.facets[shown[nearest[0]]],
             distance=float(distance[0]),
             angle=float(angle[0]),

@@ -20,12 +20,18 @@ from knowarm.experiment.run_inputs import input_content
 from knowarm.experiment.zoo import POLICIES, shipped_name
 from knowarm.learn.algorithms import privileged_uses
 from knowarm.own import load
-from knowarm.perception.solving import SolvingAgent
+from knowarm.perception.solving import player
 from knowarm.reading import digest, read_bytes, reading
 from knowarm.world.agents import SCRIPTED_AGENTS
 from knowarm.world.agents.protocol import INPUTS, AgentProtocol
 from knowarm.world.agents.scripted import InformedAgent, OpenLoopAgent
-from knowarm.world.config import EnvConfig, facets_of, questions_of, row_names
+from knowarm.world.config import (
+    EnvConfig,
+    facets_of,
+    known_places,
+    questions_of,
+    row_names,
+)
 from knowarm.world.description import SUFFIX
 from knowarm.world.envs.vector_env import ArmVectorEnv
 
@@ -142,11 +148,9 @@ def _run(spec: str, *, solves: bool = False) -> Entrant:
             check_graph(config, played)
         subject = Subject(env=played, config=config, graph=graph, reasoning=reasoning)
         informed = known_in_test(trained, subject)
-        if not solves:
-            return informed
-        known = graph or played.task.asked.answering_graph(facets_of(played))
-        known = told_places(known, places, config.seed)
-        return SolvingAgent(informed, played, known, hears=places != "unknown")
+        known = told_places(graph or known_places(played), places, config.seed)
+        hears = places != "unknown"
+        return player(informed, played, known, solves=solves, hears=hears)
 
     uses = {
         "image": True,
@@ -164,7 +168,7 @@ def _run(spec: str, *, solves: bool = False) -> Entrant:
     if answers_by_graph(config.knows):
         shuffled = partial(make, reasoning="graph-shuffled")
         controls["shuffled graph"] = shuffled
-        if solves and config.env.task.skill.tells_facts:
+        if config.env.task.skill.tells_facts:
             controls["shuffled places"] = partial(make, places="shuffled")
             controls["shuffled both"] = partial(shuffled, places="shuffled")
             controls["unknown places"] = partial(make, places="unknown")

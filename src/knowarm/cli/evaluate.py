@@ -37,6 +37,8 @@ from knowarm.experiment.evaluation import (
     GraphTest,
     HeldOutTest,
     Places,
+    PlacesControl,
+    PlacesTest,
     Reasoning,
     ReasoningTest,
     SeenTest,
@@ -120,8 +122,8 @@ class ConditionOptions:
     seen: bool = False
     """Let inverse kinematics with known joint angles move to the frame that a grounding network
     sees, in place of the policy: what a practitioner would try first."""
-    places: Places = "graph"
-    """What --seen knows of where objects belong, for tasks that sort them."""
+    places: Places | PlacesControl = "graph"
+    """What the agent knows of where objects belong, for tasks that sort them."""
 
     def test(self) -> list[BaseTest]:
         """Return the conditions in the order in which they apply."""
@@ -150,11 +152,9 @@ class ConditionOptions:
             )
             conditions.append(damage)
         if self.seen:
-            conditions.append(SeenTest(places=self.places))
-        elif self.places != "graph":
-            raise UserError(
-                "--places is for an agent that sees and solves: give --seen."
-            )
+            conditions.append(SeenTest())
+        if self.places != "graph":
+            conditions.append(PlacesTest(places=self.places))
         return conditions
 
 

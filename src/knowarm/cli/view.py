@@ -164,7 +164,10 @@ class View:
         if is_scripted(self.agent):
             return {}
         from knowarm.perception.recognition import known_in_episode  # imports torch
+        from knowarm.perception.solving import SeeingAgent
 
+        if isinstance(agent, SeeingAgent):
+            agent = agent.agent
         return known_in_episode(cast(Any, agent), image)
 
     def _agent(self) -> tuple[Callable[[ArmVectorEnv], AgentProtocol], EnvConfig]:

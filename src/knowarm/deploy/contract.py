@@ -88,6 +88,12 @@ def deployment(trained: TrainedAgent, joint_map: Path | None = None) -> Deployme
             "A run of the algorithm 'seen' has no policy to take out of the simulator: inverse "
             "kinematics act in its place. Train one, e.g. with the algorithm 'distil'."
         )
+    if env.task.skill.tells_facts:
+        raise UserError(
+            "This policy is told the tray on which an object belongs, by facts of the episode and "
+            "the colours of the first image, and an export has neither. Play it by `knowarm.play`, "
+            "`evaluate`, `ask`, `view` or `record`."
+        )
     rows = row_names(env)
     table = trained.table
     step = None

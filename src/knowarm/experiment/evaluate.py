@@ -13,7 +13,7 @@ import numpy as np
 from knowarm.arrays import Mask
 from knowarm.config import override, to_dict
 from knowarm.errors import UserError
-from knowarm.experiment.evaluation import EvaluationConfig, SeenTest, Subject
+from knowarm.experiment.evaluation import EvaluationConfig, Subject
 from knowarm.experiment.knows import answers_by_graph, reason_by
 from knowarm.experiment.load import TrainedAgent, load_agent
 from knowarm.experiment.probes import Played
@@ -30,7 +30,7 @@ from knowarm.experiment.summary import (
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.measures import Measure
 from knowarm.perception.calibration import covered
-from knowarm.perception.solving import SolvingAgent
+from knowarm.perception.solving import player
 from knowarm.policy import PolicyAgent
 from knowarm.questions import Query
 from knowarm.reading import write_json, writing
@@ -252,8 +252,8 @@ def _subject(
             "This task is not the agent's own, and its evaluation would replace that in the run "
             "folder. Give it a label=..., or set write=False."
         )
-    seen = SeenTest() if trained.config.solves else None
-    return Subject(env=played, config=trained.config, seen=seen)
+    solves = trained.config.solves
+    return Subject(env=played, config=trained.config, solves=solves)
 
 
 def agent_for_test(
@@ -270,13 +270,14 @@ def agent_for_test(
         return cast(MakeAgent, agent)(env)
     informed = known_in_test(trained, subject)
     check_fits(trained, env, knows_task=informed is not trained.agent)
-    if subject.seen is not None:
-        seen = subject.seen
-        known = seen.known_places(subject)
-        return SolvingAgent(
-            informed, subject.env, known, hears=seen.places != "unknown"
-        )
-    return informed
+    return player(
+        informed,
+        subject.env,
+        subject.known_places,
+        solves=subject.solves,
+        hears=subject.places != "unknown",
+        swaps=subject.places == "swapped",
+    )
 
 
 def _told_by(

@@ -35,13 +35,15 @@ from knowarm.perception.config import LEVEL, Unclear
 from knowarm.questions import Query
 from knowarm.ranges import MOST_INT, within
 from knowarm.seeding import derive_seed
-from knowarm.world.config import EnvConfig, facets_of
+from knowarm.world.config import EnvConfig, facets_of, known_places
 from knowarm.world.robots.robot import Robot
 from knowarm.world.tasks.probe import BaseProbe
 from knowarm.world.tasks.state import NamedArrays
 
 Places = Literal["graph", "shuffled", "unknown"]
-"""What an agent that solves knows of where objects belong."""
+"""What an agent that sees knows of where objects belong: a graph, or a control in its place."""
+
+PlacesControl = Literal["shuffled", "unknown", "swapped"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,14 +63,24 @@ class Subject:
     """What it does if it sees no answer, or several."""
     level: float | None = None
     """How often the right object is to be among those that count as answers; None: by name."""
-    seen: "SeenTest | None" = None
-    """How inverse kinematics act in place of the policy, to the frame that the network sees."""
+    solves: bool = False
+    """Whether inverse kinematics act in place of the policy, to the frame that the network sees."""
+    places: Places | PlacesControl = "graph"
+    """What it knows of where objects belong."""
 
     @property
     def trained(self) -> ExperimentConfig:
         """The config of the trained agent that the condition needs."""
         assert self.config is not None
         return self.config
+
+    @property
+    def known_places(self) -> KnowledgeGraph | None:
+        """The graph that says where objects belong; None where that is unknown."""
+        graph = self.graph
+        if graph is None:
+            graph = known_places(self.env)
+        return told_places(graph, self.places, self.trained.seed)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -267,35 +279,45 @@ class SeenTest(BaseTest):
     """
 
     kind: Literal["seen"] = "seen"
-    places: Places = "graph"
-    """Where objects belong, for skills that need it: by the "graph", by the "shuffled" one, or
-    "unknown", as is then a destination that a question names; the last two are controls."""
-
-    @property
-    def label(self) -> str:
-        """Its kind, and a control."""
-        return _label(self.kind, "" if self.places == "graph" else self.places)
 
     def prepare(self, subject: Subject) -> Subject:
         """Let the agent solve."""
-        return replace(subject, seen=self)
+        return replace(subject, solves=True)
 
-    def known_places(self, subject: Subject) -> KnowledgeGraph | None:
-        """Return the graph that says where objects belong; None where that is unknown."""
-        env = subject.env
-        graph = subject.graph
-        if graph is None:
-            graph = env.task.asked.answering_graph(facets_of(env))
-        return told_places(graph, self.places, subject.trained.seed)
+
+@dataclass(frozen=True, kw_only=True)
+class PlacesTest(BaseTest):
+    """Control of where objects belong, for agents of tasks in which a graph says it."""
+
+    kind: Literal["places"] = "places"
+    places: PlacesControl
+    """Which one: a graph with permuted tails says where objects belong ("shuffled"); nothing does,
+    and no question names a destination ("unknown"); or each tray is said to be the place of another
+    one ("swapped")."""
+
+    @property
+    def label(self) -> str:
+        """Its kind, and which control."""
+        return _label(self.kind, self.places)
+
+    def prepare(self, subject: Subject) -> Subject:
+        """Let the agent know other places, or none."""
+        if not subject.env.task.skill.tells_facts:
+            raise UserError(
+                f"places={self.places!r} is for tasks in which a graph says where objects belong, "
+                f"and {subject.env.task.name!r} is none. Leave it out, or take a run of "
+                "choose-sort."
+            )
+        return replace(subject, places=self.places)
 
 
 def told_places(
-    graph: KnowledgeGraph | None, places: Places, seed: int
+    graph: KnowledgeGraph | None, places: Places | PlacesControl, seed: int
 ) -> KnowledgeGraph | None:
     """Return a graph that says where objects belong, or a control in its place."""
     if places == "unknown" or graph is None:
         return None
-    if places == "graph":
+    if places in ("graph", "swapped"):
         return graph
     return shuffle_tails(graph, derive_seed(seed, "placebos"))
 
@@ -306,7 +328,13 @@ def _edited_graph(env: EnvConfig) -> KnowledgeGraph | None:
 
 
 AnyCondition = (
-    HeldOutTest | SplitTest | GraphTest | DamageTest | ReasoningTest | SeenTest
+    HeldOutTest
+    | SplitTest
+    | GraphTest
+    | DamageTest
+    | ReasoningTest
+    | SeenTest
+    | PlacesTest
 )
 
 

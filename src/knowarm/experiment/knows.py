@@ -24,15 +24,22 @@ from knowarm.knowledge.config import Scope
 from knowarm.knowledge.graph.builder import shuffle_tails
 from knowarm.knowledge.graph.individuals import meant
 from knowarm.knowledge.queries.queries import QueryGraph
-from knowarm.perception.config import FRAME, GroundingConfig
+from knowarm.perception.config import GroundingConfig, seen_width
 from knowarm.questions import ObjectColour, Query, QuestionTable
 from knowarm.seeding import derive_seed
-from knowarm.world.config import EnvConfig, facets_of, questions_of, row_names
+from knowarm.world.config import (
+    EnvConfig,
+    facets_of,
+    known_places,
+    questions_of,
+    row_names,
+)
 from knowarm.world.tasks.task import Task
 
 if TYPE_CHECKING:  # These import torch, which reading a config does not need.
     from knowarm.perception.grounding import GroundingNetwork
     from knowarm.perception.recognition import FrameRecognition
+    from knowarm.perception.solving import SeeingAgent
     from knowarm.policy import Policy, PolicyAgent
     from knowarm.world.envs.torch_env import TorchArmVectorEnv
 
@@ -53,15 +60,20 @@ class Knowledge:
     """(rows, K) float32, one row per `Task.knowledge_rows`; K may be 0."""
     embedding: Embedding | None = None
     """Where the table is from; None for nothing, and for a table that a run folder keeps."""
-    is_grounded: bool = False
-    """Whether the policy receives a grasp frame."""
+    seen_width: int = 0
+    """Numbers that the policy receives of what a network sees; 0 without one."""
     recognition: "FrameRecognition | None" = None
     """What finds it; None until the grounding network is trained."""
 
     @property
+    def is_grounded(self) -> bool:
+        """Whether the policy receives what a network sees."""
+        return self.seen_width > 0
+
+    @property
     def width(self) -> int:
         """Numbers that the policy receives."""
-        return FRAME if self.is_grounded else self.table.shape[1]
+        return self.seen_width or self.table.shape[1]
 
     @property
     def slots(self) -> int:
@@ -99,6 +111,15 @@ class Knowledge:
         if self.recognition is not None:
             return self.recognition.make_agent(policy, **options)
         return PolicyAgent(policy, self.table, **options)
+
+    def make_player(
+        self, env: EnvConfig, policy: "Policy", **options: Any
+    ) -> "PolicyAgent | SeeingAgent":
+        """Make what acts with this knowledge and a policy in a task; options as `make_agent`."""
+        from knowarm.perception.solving import player
+
+        agent = self.make_agent(policy, **options)
+        return player(agent, env, known_places(env), solves=False)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -212,7 +233,7 @@ class Grounded(_Embedded):
             **sources: further arguments, as of `Vector.known`.
         """
         knowledge = super().known(env, run_seed, **sources)
-        knowledge = replace(knowledge, is_grounded=True)
+        knowledge = replace(knowledge, seen_width=seen_width(env))
         if network is None:
             return knowledge
         from knowarm.perception.recognition import AnswerGrounding, FrameRecognition

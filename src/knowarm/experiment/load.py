@@ -25,12 +25,12 @@ from knowarm.perception.calibration import calibrated_thresholds
 from knowarm.perception.config import shown_in
 from knowarm.perception.grounding import GroundingNetwork
 from knowarm.perception.recognition import AnswerGrounding, AnsweringAgent
-from knowarm.perception.solving import SolvingAgent
+from knowarm.perception.solving import SeeingAgent, player
 from knowarm.policy import Policy, PolicyAgent, PolicyConfig, PolicyShape
 from knowarm.questions import find_rows
 from knowarm.reading import one_line, reading
 from knowarm.world.agents.protocol import Batch
-from knowarm.world.config import EnvConfig, facets_of, questions_of, row_names
+from knowarm.world.config import EnvConfig, known_places, questions_of, row_names
 
 log = logging.getLogger("knowarm.experiment")
 
@@ -125,7 +125,7 @@ class TrainedAgent:
         return actions.reshape(*image.shape[:-3], -1)
 
     @cached_property
-    def player(self) -> PolicyAgent | SolvingAgent:
+    def player(self) -> PolicyAgent | SeeingAgent:
         """What acts: the agent with its policy, or inverse kinematics in its place."""
         return self.acting(self.agent)
 
@@ -135,17 +135,16 @@ class TrainedAgent:
         graph: KnowledgeGraph | None = None,
         *,
         guesses: bool = True,
-    ) -> PolicyAgent | SolvingAgent:
+    ) -> PolicyAgent | SeeingAgent:
         """Return what acts for an agent.
 
-        ``graph`` says where objects belong, None: its own; ``guesses`` as in `SolvingAgent`.
+        ``graph`` says where objects belong, None: its own; ``guesses`` as in `SeeingAgent`.
         """
-        if not self.config.solves:
-            return agent
         env = self.config.env
         if graph is None:
-            graph = env.task.asked.answering_graph(facets_of(env))
-        return SolvingAgent(agent, env, graph, guesses=guesses)
+            graph = known_places(env)
+        solves = self.config.solves
+        return player(agent, env, graph, solves=solves, guesses=guesses)
 
     def _report_new(self, batch: Batch | Mapping[str, Any]) -> None:
         """Log objects that training never showed, once each; and once, questions of the kind."""

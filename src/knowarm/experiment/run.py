@@ -237,6 +237,11 @@ def build(config: ExperimentConfig) -> Parts:
     """
     env = config.env
     knowledge = config.knows.known(env, config.seed)
+    if env.task.skill.tells_facts and not knowledge.is_grounded:
+        raise UserError(
+            f"The agent {config.agent!r} is not told where to put an object, which a graph and an "
+            "image decide in this task. Take an agent with a grounding network, such as 'answers'."
+        )
     policy = _policy_config(config.policy, knowledge)
     shape = PolicyShape(
         joints=len(env.task.skill.joint_names(robot_of(env))),
@@ -279,7 +284,7 @@ def make_trainer(
             interim_evaluation,
             config.env,
             config.interim,
-            partial(knowledge.make_agent, greedy=True),
+            partial(knowledge.make_player, config.env, greedy=True),
         ),
         **options,
     )

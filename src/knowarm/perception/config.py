@@ -22,6 +22,9 @@ Facets = tuple[ObjectColour, ...]
 FRAME = 9
 """Numbers that describe a grasp frame: standardized position, x and z axis."""
 
+DESTINATION_WIDTH = 2
+"""Numbers that describe where to put an object: standardized x and y."""
+
 LEVEL = 0.9
 """How often the right object is among the candidates, where nothing else is said."""
 
@@ -110,6 +113,11 @@ class GroundingSpec:
                 f"The grounding network does not know {', '.join(unknown[:5])}, which this task "
                 f"shows. {RETRAIN}"
             )
+
+
+def seen_width(env: EnvConfig) -> int:
+    """Return how many numbers a policy is told of what a network sees in a task."""
+    return FRAME + DESTINATION_WIDTH * env.task.skill.tells_facts
 
 
 def shown_in(env: EnvConfig) -> set[ObjectColour]:

@@ -20,13 +20,14 @@ from torch import Tensor, nn
 
 from knowarm.errors import UserError
 from knowarm.learn.checkpoint import Arrays, to_arrays
-from knowarm.perception.config import FRAME, Unclear
+from knowarm.perception.config import Unclear, seen_width
 from knowarm.perception.grounding import BATCH, GroundingNetwork, in_batches
 from knowarm.perception.images import axes_of
 from knowarm.policy import Policy, PolicyAgent
 from knowarm.questions import SURE, number_objects, number_parts
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.torch_env import TorchArmVectorEnv
+from knowarm.world.tasks.skills.guides import DESTINATION
 from knowarm.world.tasks.state import EpisodeState
 
 
@@ -62,6 +63,12 @@ class FrameRecognition(nn.Module):
         like = self.network.knowledge
         position = torch.from_numpy(episodes.goal_position[ids]).to(like)
         return self.network.standardized(position, torch.from_numpy(axes).to(like))
+
+    def destinations(self, places: NDArray[np.float64]) -> Tensor:
+        """Return the numbers of destinations at x and y (n, 2) [m], (n, 2) float32."""
+        network = self.network
+        position = torch.from_numpy(places).to(network.knowledge)
+        return (position - network.position_mean[:2]) / network.position_std[:2]
 
     def place_scores(self, images: Tensor, knowledge: Tensor) -> Tensor:
         """Score the places of images (n, H, W, 3) uint8, (n, places)."""
@@ -287,7 +294,8 @@ class PerceivingVectorEnv(TorchArmVectorEnv):
 
     It is computed from the first image of every episode and kept until the next begins. Once a
     teacher is in use, it is what the simulator knows instead: practice starts hide objects from
-    the image, and a wrong goal would contradict the teacher's actions.
+    the image, and a wrong goal would contradict the teacher's actions. Destinations that differ
+    between episodes are known with a teacher alone.
     """
 
     def __init__(
@@ -300,7 +308,9 @@ class PerceivingVectorEnv(TorchArmVectorEnv):
         recognition.check_fits(config)
         super().__init__(config, num_envs, **options)
         self._recognition = copy.deepcopy(recognition).to(self.device)
-        self._perceived = torch.zeros((num_envs, FRAME), device=self.device)
+        self._perceived = torch.zeros(
+            (num_envs, seen_width(config)), device=self.device
+        )
 
     @property
     def knowledge(self) -> Tensor:
@@ -330,11 +340,24 @@ class PerceivingVectorEnv(TorchArmVectorEnv):
         if not len(ids):
             return images
         if self.has_teacher:
-            frames = self._recognition.true_frames(self.running, ids.cpu().numpy())
+            perceived = self._true(ids.cpu().numpy())
+        elif self.config.task.skill.tells_facts:
+            raise UserError(
+                "Only a teacher tells a policy in training where to put an object, and this "
+                "algorithm uses none. Train with 'distil'."
+            )
         else:
-            frames = self._recognition(images[ids], self.knowledge_input[ids])
-        self._perceived = self._perceived.index_copy(0, ids, frames)
+            perceived = self._recognition(images[ids], self.knowledge_input[ids])
+        self._perceived = self._perceived.index_copy(0, ids, perceived)
         return images
+
+    def _true(self, ids: NDArray[np.int64]) -> Tensor:
+        """Return what the simulator knows of episodes (k,): frames, and destinations."""
+        frames = self._recognition.true_frames(self.running, ids)
+        if not self.config.task.skill.tells_facts:
+            return frames
+        places = self.running.memory[DESTINATION][ids]
+        return torch.cat([frames, self._recognition.destinations(places)], dim=1)
 
 
 @torch.inference_mode()

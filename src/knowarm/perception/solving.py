@@ -1,9 +1,12 @@
-"""See, then solve: a network sees objects and grasp frame, a guide solves the path; no policy.
+"""Agents that act on all that a network sees: object, grasp frame, and where it has to be put.
 
-It needs what a policy does without: joint angles and a kinematic model of the arm.
+See, then solve: `SolvingAgent` moves on a path that a guide solves, without a policy. It needs what
+a policy does without: joint angles and a kinematic model of the arm. `PlacingAgent` tells a policy
+the destination.
 """
 
 import copy
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Self
 
@@ -19,7 +22,7 @@ from knowarm.policy import PolicyAgent
 from knowarm.world.agents.protocol import Batch
 from knowarm.world.agents.scripted import guide_of
 from knowarm.world.config import EnvConfig, scene_of
-from knowarm.world.tasks.skills.guides import DESTINATION, JointPath, Sight
+from knowarm.world.tasks.skills.guides import DESTINATION, Sight
 from knowarm.world.tasks.state import nearest_levels
 
 
@@ -38,23 +41,24 @@ class Seen(NamedTuple):
     """x and y of the objects, (n, m, 2) [m]."""
 
 
-class SolvingAgent:
-    """Moves the arm on the path that the task's guide solves for what is seen in the first image.
+class SeeingAgent(ABC):
+    """Base of agents that act on what is seen in the first image.
 
     Args:
-        agent: the agent whose recognition sees; its policy plays no part.
+        agent: the agent whose recognition sees.
         env: robot and task.
         graph: the `KnowledgeGraph` that says where objects belong; None: it does not know.
         guesses: whether it moves where that does not say where the object belongs.
         hears: whether it is told the destination that a question names.
+        swaps: whether it is told wrong facts, by which the object belongs elsewhere; a control.
 
     Attributes:
+        agent: the agent whose recognition sees.
         notes: those of ``agent``.
         lacks_place: where it stays, since it does not know where the object belongs, (n,).
 
     Raises:
-        UserError: the agent has no recognition of frames, or the task no guide that moves all its
-            joints.
+        UserError: the agent has no recognition of frames.
     """
 
     notes: dict[str, np.ndarray]
@@ -67,21 +71,22 @@ class SolvingAgent:
         *,
         guesses: bool = True,
         hears: bool = True,
+        swaps: bool = False,
     ) -> None:
         if not isinstance(agent.recognition, FrameRecognition):
             raise UserError(
-                "Only what sees a grasp frame can solve the path to it: this agent has no "
-                "grounding network. Take a run such as zoo/irb120-choose-answers-fast."
+                "Only what sees a grasp frame can act on it: this agent has no grounding network. "
+                "Take a run such as zoo/irb120-choose-answers-fast."
             )
-        self._agent = agent
+        self.agent = agent
         self._recognition = agent.recognition
         self._network = agent.recognition.network
         self._recognition.check_fits(env)
-        self._guide = guide_of(env)
         self._skill = env.task.skill
         self._graph = graph
         self._guesses = guesses
         self._hears = hears
+        self._swaps = swaps
         self._scene = scene_of(env)
         names = [target.name for target in self._scene.targets]
         facets = self._network.spec.facets
@@ -90,59 +95,63 @@ class SolvingAgent:
     @property
     def depends_on_rows(self) -> bool:
         """Whether episodes of different queries differ."""
-        return self._agent.depends_on_rows
+        return self.agent.depends_on_rows
 
     @property
     def told(self) -> Tensor:
         """As `PolicyAgent.told`."""
-        return self._agent.told
+        return self.agent.told
 
     def telling(self, rows: Sequence[Tensor]) -> Self:
         """As `PolicyAgent.telling`."""
         agent = copy.copy(self)
-        agent._agent = self._agent.telling(rows)
+        agent.agent = self.agent.telling(rows)
         return agent
 
     @property
     def moves(self) -> Mask:
         """Whether the arm moves in each environment, (n,) bool."""
         moves = np.ones(len(self._joints), bool)
-        if isinstance(self._agent, AnsweringAgent):
-            moves = self._agent.moves
+        if isinstance(self.agent, AnsweringAgent):
+            moves = self.agent.moves
         return moves & ~self.lacks_place
 
     def reset(self, batch: Batch) -> None:
-        """Forget everything: n episodes start.
-
-        Raises:
-            UserError: the batch does not tell the joint angles.
-        """
-        if not batch.joints:
-            raise UserError(
-                "An agent that sees and solves needs the arm's joint angles as episodes start: "
-                "play it by `knowarm.play`, `evaluate`, `ask`, `view` or `record`."
-            )
-        self._agent.reset(batch)
+        """Forget everything: n episodes start."""
+        self.agent.reset(batch)
         self.notes = {}
-        self._joints = np.stack(list(batch.joints.values()), axis=1)
+        self._joints = np.zeros((batch.size, 0))
+        if batch.joints:
+            self._joints = np.stack(list(batch.joints.values()), axis=1)
         self._facts = dict(batch.facts)
         if not self._hears:
             self._facts.pop(DESTINATION, None)
+        if self._swaps:
+            self._facts |= self._skill.swapped(self._facts)
         self.lacks_place = np.zeros(batch.size, bool)
-        self._path: JointPath | None = None
+        self._has_looked = False
 
     def act(self, observations: Mapping[str, np.ndarray]) -> Integers:
-        """Choose the action of each joint that ends nearest to the path, (n, J)."""
-        if self._path is None:
+        """Choose actions (n, J); 0, which adds nothing to the joint targets, where it stays."""
+        if not self._has_looked:
             images = torch.from_numpy(observations["image"].copy())
-            frames = self._agent.recognize(images)
-            self.notes = self._agent.notes
+            frames = self.agent.recognize(images)
+            self.notes = self.agent.notes
             sight = self._sight(images, frames)
             if sight.decided is not None and not self._guesses:
                 self.lacks_place = ~sight.decided
-            self._path = self._guide.path(sight)
-        actions = nearest_levels(self._path.error(observations["joint_targets"]))
+            self._plan(sight, frames)
+            self._has_looked = True
+        actions = self._choose(observations)
         return np.where(self.moves[:, None], actions, 0)
+
+    @abstractmethod
+    def _plan(self, sight: Sight, frames: Tensor) -> None:
+        """Take in what is seen as n episodes start; ``frames`` (n, 9) are the goal frames."""
+
+    @abstractmethod
+    def _choose(self, observations: Mapping[str, np.ndarray]) -> Integers:
+        """Choose actions (n, J)."""
 
     def _sight(self, images: Tensor, frames: Tensor) -> Sight:
         """Return what images show: the goal frames (n, 9), and all objects.
@@ -181,3 +190,73 @@ class SolvingAgent:
         x = torch.nn.functional.normalize(x - (x * z).sum(1, keepdim=True) * z)
         matrix = torch.stack([x, torch.linalg.cross(z, x), z], dim=2)
         return position.double().numpy(), matrix.flatten(1).numpy()
+
+
+class SolvingAgent(SeeingAgent):
+    """Moves the arm on the path that the task's guide solves; the policy plays no part.
+
+    Raises:
+        UserError: as the base, or the task has no guide that moves all its joints.
+    """
+
+    def __init__(
+        self, agent: PolicyAgent, env: EnvConfig, graph: Any = None, **options: Any
+    ) -> None:
+        super().__init__(agent, env, graph, **options)
+        self._guide = guide_of(env)
+
+    def reset(self, batch: Batch) -> None:
+        """Forget everything: n episodes start.
+
+        Raises:
+            UserError: the batch does not tell the joint angles.
+        """
+        if not batch.joints:
+            raise UserError(
+                "An agent that sees and solves needs the arm's joint angles as episodes start: "
+                "play it by `knowarm.play`, `evaluate`, `ask`, `view` or `record`."
+            )
+        super().reset(batch)
+
+    def _plan(self, sight: Sight, frames: Tensor) -> None:
+        self._path = self._guide.path(sight)
+
+    def _choose(self, observations: Mapping[str, np.ndarray]) -> Integers:
+        """Choose the action of each joint that ends nearest to the path, (n, J)."""
+        return nearest_levels(self._path.error(observations["joint_targets"]))
+
+
+class PlacingAgent(SeeingAgent):
+    """Lets the policy act, which is told the destination that is seen beside the grasp frame."""
+
+    def _plan(self, sight: Sight, frames: Tensor) -> None:
+        assert sight.destination is not None
+        destination = self._recognition.destinations(sight.destination)
+        self.agent.knowledge = torch.cat([frames, destination], dim=1)
+
+    def _choose(self, observations: Mapping[str, np.ndarray]) -> Integers:
+        return self.agent.act(observations)
+
+
+def player(
+    agent: PolicyAgent,
+    env: EnvConfig,
+    graph: Any,
+    *,
+    solves: bool,
+    **options: Any,
+) -> PolicyAgent | SeeingAgent:
+    """Return what acts for an agent in a task: inverse kinematics, or its policy.
+
+    Args:
+        agent: recognizes and, unless the path is solved, chooses actions.
+        env: robot and task.
+        graph: as `SeeingAgent`.
+        solves: whether inverse kinematics act in place of the policy.
+        options: further arguments of `SeeingAgent`.
+    """
+    if solves:
+        return SolvingAgent(agent, env, graph, **options)
+    if env.task.skill.tells_facts:
+        return PlacingAgent(agent, env, graph, **options)
+    return agent

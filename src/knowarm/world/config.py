@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 from knowarm.config import check_values
 from knowarm.errors import Argument, UserError
+from knowarm.knowledge import KnowledgeGraph
 from knowarm.questions import QuestionTable
 from knowarm.ranges import within
 from knowarm.world.objects import find_targets
@@ -177,6 +178,14 @@ def facets_of(config: EnvConfig) -> tuple[tuple[str, str], ...]:
             colours = colours[:1]
         facets += [(target.name, colour) for colour in colours]
     return tuple(facets)
+
+
+def known_places(config: EnvConfig) -> KnowledgeGraph | None:
+    """Return the graph that says where the objects of a task belong; None where nothing asks it."""
+    task = config.task
+    if not task.skill.tells_facts:
+        return None
+    return task.asked.answering_graph(facets_of(config))
 
 
 def questions_of(config: EnvConfig) -> QuestionTable | None:

@@ -40,7 +40,9 @@ class Skill(BaseTaskPart):
     moves_fingers: ClassVar[bool] = False
     """Whether it needs a robot whose fingers move."""
     tells_facts: ClassVar[bool] = False
-    """Whether `facts` tells something, by which a graph decides where an object has to be put."""
+    """Whether `facts` tells something, by which a graph decides where an object has to be put.
+
+    `see` finds that place, and a policy is told it."""
 
     @property
     def draws(self) -> int:
@@ -161,6 +163,10 @@ class Skill(BaseTaskPart):
     def without_destination(self) -> Self:
         """Return the skill in whose episodes no question names where to put the object."""
         return self
+
+    def swapped(self, facts: Mapping[str, Array]) -> Mapping[str, Array]:
+        """Return what replaces some of the `facts` so that objects belong elsewhere: a control."""
+        return {}
 
     def see(
         self,

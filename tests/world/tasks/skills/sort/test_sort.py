@@ -303,10 +303,3 @@ def test_a_robot_with_one_tray_is_refused_with_a_remedy():
     robot = replace(find_robot("irb120"), trays_m=((0.2, -0.25),))
     with pytest.raises(UserError, match=r"has 1 trays.*needs 2.*Set trays_m"):
         Sort().area_of(robot)
-
-
-def test_policies_are_refused_before_anything_is_trained():
-    with pytest.raises(UserError, match="Take the algorithm 'seen' in place of 'fast'"):
-        knowarm.experiment_config("tiago-choose-sort-answers-fast")
-    config = knowarm.experiment_config("tiago-choose-sort-answers-seen")
-    assert config.solves

@@ -85,7 +85,7 @@ class AskObject(Asking):
     kind: Literal["choose"] = "choose"
     """Tag in JSON."""
     objects: int = 4
-    """Objects per episode, 2 to 6, all different."""
+    """Objects per episode, 1 to 6, all different; a single one answers its question."""
     queries: GraphQueries | NameQueries = field(default_factory=GraphQueries)
     """Where the questions come from, and which objects answer them."""
     marked: bool = False
@@ -94,7 +94,7 @@ class AskObject(Asking):
 
     def __post_init__(self) -> None:
         check_values(self)
-        within(self, 2, MAX_OBJECTS, "objects", where="AskObject.")
+        within(self, 1, MAX_OBJECTS, "objects", where="AskObject.")
 
     @property
     def title(self) -> str:

@@ -47,7 +47,8 @@ TRAY_COLOURS = ("red", "yellow", "green", "cyan", "blue", "pink")
 NAMES = np.array(TRAY_COLOURS)
 TRAY_RGB = np.array([COLOURS[name] for name in TRAY_COLOURS])
 MAX_TRAYS = 4
-WITHOUT_POLICY = frozenset({"seen"})  # Algorithms that train none
+WITHOUT_POLICY = "seen"  # Algorithm that trains none
+IMITATION = "distil"
 WRONG_TRAY = len(OUTCOMES)
 ENDS_OF_DRAWS = np.cumsum([MAX_TRAYS, MAX_TRAYS, len(TRAY_COLOURS)])
 APART_M = 0.025  # Of what is put on a tray from its middle
@@ -165,13 +166,13 @@ class Sort(Place):
     the "place" or the "colour" of a tray that is drawn, which is given."""
 
     def training(self, algorithm: str, asked: Asking) -> Mapping[str, Any]:
-        """Refuse all algorithms that train a policy, which would not know the right tray."""
-        if algorithm not in WITHOUT_POLICY:
+        """Imitate as placing does; refuse what trains a policy that is not told the right tray."""
+        if algorithm not in (WITHOUT_POLICY, IMITATION):
             raise UserError(
-                "Policies are not given which tray is which place, so they cannot learn to sort. "
-                f"Take the algorithm {', '.join(WITHOUT_POLICY)!r} in place of {algorithm!r}."
+                "Only a teacher tells a policy in training which tray is right, and the algorithm "
+                f"{algorithm!r} has none. Take {IMITATION!r} or {WITHOUT_POLICY!r}."
             )
-        return {}
+        return super().training(algorithm, asked)
 
     @property
     def is_named(self) -> bool:
@@ -292,6 +293,10 @@ class Sort(Place):
         places = true_belongings(asked, state.facets, self.relation).places
         place = places[state.memory["tray_places"][env_id, tray]].replace("_", " ")
         return f"It stands on the {colour} tray, the {place}."
+
+    def swapped(self, facts: Mapping[str, Array]) -> Mapping[str, Array]:
+        """Let each tray be the place of another one."""
+        return {"tray_places": np.roll(facts["tray_places"], 1, axis=1)}
 
     def see(
         self,
