@@ -26,7 +26,6 @@ from knowarm.arrays import Integers
 from knowarm.experiment.evaluation import EvaluationConfig, SplitTest, Subject
 from knowarm.experiment.load import TrainedAgent, load_agent
 from knowarm.perception.solving import SolvingAgent
-from knowarm.statistics import wilson
 from knowarm.world.agents.play import EpisodeResults, play
 from knowarm.world.agents.protocol import AgentProtocol, Batch, Observations
 from knowarm.world.agents.scripted import InformedAgent
@@ -157,10 +156,9 @@ def table(lines: list[dict[str, str]]) -> str:
     cells: dict[tuple[str, str, float], dict[str, str]] = {}
     for line in lines:
         count = int(line["episodes"])
-        share = wilson(int(line["success"]), count)
+        success = 100 * int(line["success"]) / count
         right = 100 * int(line["right"]) / count
-        values = [100 * end for end in (share.estimate, share.low, share.high)]
-        text = "{:.1f} [{:.1f}, {:.1f}] ({:.1f})".format(*values, right)
+        text = f"{success:.1f} ({right:.1f})"
         key = (line["run"], line["off"], float(line["amount"]))
         cells.setdefault(key, {})[line["agent"]] = text
     order = list(dict.fromkeys(off for off, _, _ in CELLS))

@@ -18,9 +18,10 @@ import numpy as np
 from knowarm.experiment.minimal_pairs import OUTCOMES, VERSIONS, outcomes
 from knowarm.experiment.summary import Summary, read_table
 from knowarm.statistics import (
+    CrossedScores,
     Interval,
     bootstrap,
-    crossed_bootstrap,
+    crossed_mean,
     holm,
     mean_of_runs,
     paired,
@@ -53,14 +54,12 @@ TESTS = {
 PREFIX = "post-training-greedy-s1"
 """What names of all evaluations of the study begin with."""
 
-PROTOCOL = """**Protocol.** Every episode is played in five versions with the same image. The
-agent is given its question and the true graph; a graph in which the fact that decides is another
-visible object's (*flips*: it ends there); one in which a triple of the same relation and value
-moved between objects out of sight, of degrees as similar as possible
-(*false flips*: it ends elsewhere than by the true graph); one without the fact (*stays*: no joint
-is ever moved); or the question of another visible object (*follows*: it ends there). *Moved*:
-flips, less the ends at the same object after the placebo edit [points]; 0 for an agent that does
-not read the fact, wherever it ends. *Acts*: right, flips, and is right after the placebo edit.
+PROTOCOL = """**Protocol.** Every episode is played by the true graph and in [four other
+versions](../reference/choose.md#minimal-pairs): deciding edit (*flips*: it ends at the new answer),
+placebo edit, of degrees as similar as possible (*false flips*: it ends elsewhere than by the true
+graph), removal (*stays*: no joint is ever moved), foreign question (*follows*: it ends at its
+object). *Moved*: flips, less the ends at the same object after the placebo edit [points]; 0 for an
+agent that does not read the fact. *Acts*: right, flips, and is right after the placebo edit.
 *Shown* are facts on shape and parts, *not shown* those on use, material,
 place and content. Suite `choose-v1`, split S1, only episodes whose question allows all edits; 5 cm
 and 15 degrees. Fixed before any run:
@@ -261,7 +260,7 @@ def over_seeds_and_facts(runs: Sequence[Run]) -> Interval:
     moves = np.concatenate([run.moves() for run in runs])
     facts = np.concatenate([run.columns["fact"] for run in runs])
     seeds = np.repeat([run.seed for run in runs], [len(run.moves()) for run in runs])
-    return crossed_bootstrap(moves, seeds, facts)
+    return crossed_mean(CrossedScores(moves, seeds, facts))
 
 
 def _values(runs: Sequence[Run], outcome: str) -> np.ndarray:

@@ -192,7 +192,7 @@ def test_an_arm_moved_by_one_fact_of_many_is_not_shown_to_act():
         run.columns["chosen_placebo"][:] = "a"
     (line,) = (line for line in verdicts(arms, SEEDS) if "`acts`" in line)
     assert "is not shown to act" in line
-    assert "over seeds and facts 60.0 [0.0, " in line
+    assert "over seeds and facts 60.0 [-64.0, " in line
 
 
 def test_arms_whose_seeds_miss_are_said_to_be_begun_and_nothing_else():

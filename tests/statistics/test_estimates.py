@@ -2,12 +2,16 @@ from importlib import import_module
 
 import numpy as np
 import pytest
+import scipy
 
 from knowarm.statistics import (
+    CrossedScores,
     Interval,
     area_under_curve,
     bootstrap,
-    crossed_bootstrap,
+    crossed_difference,
+    crossed_mean,
+    crossed_share,
     first_crossing,
     holm,
     iqm,
@@ -188,33 +192,91 @@ def test_few_runs_have_an_interval_as_wide_as_students_t_and_as_their_own():
     assert five == bootstrap(np.array([0.1, 0.2, 0.3, 0.4, 0.5]))
 
 
-def test_a_crossed_bootstrap_covers_the_truth_where_episodes_of_a_topic_are_alike():
+def ends_of(interval):
+    return interval.low, interval.high
+
+
+def test_crossed_intervals_cover_the_truth_with_four_topics():
     generator = np.random.default_rng(3)
-    runs, topics = np.divmod(np.arange(10 * 20 * 4) // 4, 20)
+    runs, topics = np.divmod(np.arange(5 * 4 * 50) // 50, 4)
     crossed, over_runs = 0, 0
-    for _ in range(200):
-        of_topic, of_run = generator.normal(0, 1, 20), generator.normal(0, 0.3, 10)
-        scores = of_topic[topics] + of_run[runs] + generator.normal(0, 1, len(runs))
-        interval = crossed_bootstrap(scores, runs, topics, repetitions=400)
-        crossed += interval.low <= 0 <= interval.high
-        means = scores.reshape(10, -1).mean(axis=1)
-        blind = bootstrap(means, repetitions=400)
-        over_runs += blind.low <= 0 <= blind.high
-    assert 0.88 <= crossed / 200 <= 0.99
-    assert over_runs / 200 < 0.7
+    for _ in range(300):
+        of_topic = generator.beta(6, 4, 4)
+        of_run = generator.normal(0, 0.02, 5)
+        chances = (of_topic[topics] + of_run[runs]).clip(0, 1)
+        hits = (generator.random(len(runs)) < chances).astype(float)
+        share = crossed_share(CrossedScores(hits, runs, topics))
+        crossed += share.low <= 0.6 <= share.high
+        blind = bootstrap(hits.reshape(5, -1).mean(axis=1), repetitions=400)
+        over_runs += blind.low <= 0.6 <= blind.high
+    assert 0.9 <= crossed / 300 <= 0.98
+    assert over_runs / 300 < 0.6
 
 
-def test_a_crossed_bootstrap_with_one_topic_is_that_over_runs():
+def test_crossed_differences_cover_the_truth_with_six_topics():
+    generator = np.random.default_rng(5)
+    runs, topics = np.divmod(np.arange(3 * 6 * 50) // 50, 6)
+    crossed = 0
+    for _ in range(300):
+        of_topic = generator.normal(0, 1, 6)
+        gain_of_topic = generator.normal(0.5, 1, 6)
+        agents = []
+        for gain in (gain_of_topic, np.zeros(6)):
+            of_run = generator.normal(0, 0.3, 3)
+            means = (of_topic + gain)[topics] + of_run[runs]
+            scores = means + generator.normal(0, 1, len(runs))
+            agents.append(CrossedScores(scores, runs, topics))
+        difference = crossed_difference(*agents)
+        crossed += difference.low <= 0.5 <= difference.high
+    assert 0.92 <= crossed / 300 <= 0.99
+
+
+def test_crossed_intervals_with_one_topic_are_those_over_runs():
     generator = np.random.default_rng(4)
-    scores, runs = generator.random(12), np.arange(12)
-    crossed = crossed_bootstrap(scores, runs, ["mug"] * 12)
-    over_runs = bootstrap(scores)
-    ends = (over_runs.estimate, over_runs.low, over_runs.high)
-    assert (crossed.estimate, crossed.low, crossed.high) == pytest.approx(
-        ends, abs=0.01
+    many = CrossedScores(generator.random(12), np.arange(12), ["mug"] * 12)
+    few = CrossedScores(generator.random(7), np.arange(7), ["mug"] * 7)
+    ends = scipy.stats.t.interval(
+        0.95, 11, many.scores.mean(), scipy.stats.sem(many.scores)
     )
+    mean = crossed_mean(many)
+    assert ends_of(mean) == pytest.approx(ends)
+    difference = crossed_difference(many, few)
+    expected = welch(many.scores, few.scores).difference
+    assert ends_of(difference) == pytest.approx(ends_of(expected))
 
 
-def test_resamples_without_episodes_are_left_out():
-    crossed = crossed_bootstrap(np.array([0.0, 1.0]), ["a", "b"], ["x", "y"])
-    assert (crossed.estimate, crossed.low, crossed.high) == (0.5, 0.0, 1.0)
+def test_crossed_differences_of_one_run_each_are_paired_by_topic():
+    generator = np.random.default_rng(4)
+    first, second = generator.random((2, 9))
+    topics = [*"abcdefghi"]
+    difference = crossed_difference(
+        CrossedScores(first, ["x"] * 9, topics),
+        CrossedScores(second[::-1], ["x"] * 9, topics[::-1]),
+    )
+    expected = paired(first, second).difference
+    assert ends_of(difference) == pytest.approx(ends_of(expected))
+
+
+def test_a_topic_with_most_episodes_counts_as_one():
+    topics = ["often"] * 24 + [*"abcdefghijklmnop"]
+    scores = np.array([1.0] * 24 + [0.0] * 16)
+    mean = crossed_mean(CrossedScores(scores, ["x"] * 40, topics))
+    assert mean.estimate == 0.6
+    assert mean.low < 0
+
+
+def test_crossed_shares_stay_within_their_bounds():
+    hits = np.array([1.0, 1.0, 1.0, 0.0])
+    share = crossed_share(CrossedScores(hits, [*"aabb"], [*"xyxy"]))
+    assert 0 < share.low < share.estimate == 0.75 < share.high < 1
+    none = crossed_share(CrossedScores(np.zeros(4), [*"aabb"], [*"xyxy"]))
+    assert none == Interval(0, 0, 0)
+
+
+def test_a_topic_that_one_agent_lacks_counts_for_the_other():
+    first = CrossedScores(np.array([1.0, 0.0]), [*"aa"], [*"xy"])
+    second = CrossedScores(np.array([0.5, 0.5]), [*"bb"], [*"xz"])
+    difference = crossed_difference(first, second)
+    # Left out, x gives 0 - .5, y 1 - .5, z .5 - .5: a variance of (2 / 3) (.25 + .25) with t(2).
+    half = scipy.stats.t.ppf(0.975, 2) * np.sqrt(1 / 3)
+    assert ends_of(difference) == pytest.approx((-half, half))

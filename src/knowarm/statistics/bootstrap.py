@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import scipy
-from numpy.typing import ArrayLike
 
 from knowarm.arrays import Floats
 
@@ -132,50 +131,6 @@ def bootstrap(
         return Interval(estimate, estimate, estimate)
     low, high = _percentiles([scores], statistic, repetitions)
     return Interval(estimate, low, high)
-
-
-def crossed_bootstrap(
-    scores: Floats,
-    runs: ArrayLike,
-    topics: ArrayLike,
-    *,
-    repetitions: int = 10_000,
-) -> Interval:
-    """Bootstrap a mean over training runs and what their episodes are about, both at once.
-
-    Episodes on one topic, such as a query or an object, succeed and fail together, and other topics
-    could have been drawn. A resample draws runs and topics with replacement and has the episodes
-    of every drawn run on every drawn topic (the pigeonhole bootstrap of Owen 2007); it is
-    conservative. With a handful of topics it is still too narrow, and with one it covers the runs
-    alone.
-
-    Args:
-        scores: (n,) scores of episodes.
-        runs: (n,) the training run of each.
-        topics: (n,) what each is about.
-        repetitions: number of resamples.
-    """
-    counts = _crossed_sums(np.ones(len(scores)), runs, topics)
-    sums = _crossed_sums(np.asarray(scores, np.float64), runs, topics)
-    generator = np.random.default_rng(0)
-    number_of_runs, number_of_topics = counts.shape
-    drawn_runs = _draws(generator, number_of_runs, repetitions)
-    drawn_topics = _draws(generator, number_of_topics, repetitions)
-    totals = (drawn_runs @ sums * drawn_topics).sum(axis=1)
-    episodes = (drawn_runs @ counts * drawn_topics).sum(axis=1)
-    # A resample has no episodes where no drawn run met a drawn topic.
-    means = totals[episodes > 0] / episodes[episodes > 0]
-    low, high = np.quantile(means, [0.025, 0.975])
-    return Interval(float(sums.sum() / counts.sum()), float(low), float(high))
-
-
-def _crossed_sums(values: Floats, runs: ArrayLike, topics: ArrayLike) -> Floats:
-    """Sum values (n,) by run and topic, (runs, topics)."""
-    names_of_runs, rows = np.unique(np.asarray(runs), return_inverse=True)
-    names_of_topics, columns = np.unique(np.asarray(topics), return_inverse=True)
-    sums = np.zeros((len(names_of_runs), len(names_of_topics)))
-    np.add.at(sums, (rows, columns), values)
-    return sums
 
 
 def _draws(generator: np.random.Generator, count: int, repetitions: int) -> Floats:
