@@ -116,13 +116,13 @@ def over_kinds():
     return span([float(end) for pair in ends for end in pair])
 
 
-def colour_alone():
-    """Return what the query's colour alone gives among new objects, of each robot."""
+def without_the_arm():
+    """Return what the graph and the query's colour alone give among new objects, by robot."""
     page = " ".join((RESULTS / "answers.md").read_text("utf-8").split())
     (found,) = re.findall(
-        r"\(right in \d+ and \d+ %, by colour in (\d+) and (\d+)\)", page
+        r"\(right in (\d+) and (\d+) %, by colour in (\d+) and (\d+)\)", page
     )
-    return " to ".join(found)
+    return " to ".join(found[:2]), " to ".join(found[2:])
 
 
 def grasps():
@@ -160,15 +160,17 @@ def test_the_answers_are_those_of_the_packs(file):
         f"{of_seeds('subgraph')} %, by codes {of_seeds('query-onehot')} %, on too few words to "
         "say it of others"
     )
+    graph_alone, colour_alone = without_the_arm()
     new, kinds = (("answers", "fast", "s3"), ("families", "distil", "s3b"))
     assert objects == (
-        f"No: {span(means(*new, 'choice'))} % right, the query's colour alone {colour_alone()} %; "
+        f"No: {span(means(*new, 'choice'))} % right; without the arm {graph_alone} %, by the "
+        f"query's colour alone {colour_alone} %; "
         f"of kinds never trained {span(means(*kinds, 'choice'))} % right, "
         f"{span(means(*kinds, 'success'))} % succeed, over kinds {over_kinds()} %"
     )
     assert grasp == (
-        f"Rarely: {grasps()} % of the reached poses lift it; policies trained to lift lift "
-        f"{lifted()} %"
+        f"Rarely: by the paper's thresholds {grasps()} % of the reached poses lift it; policies "
+        f"trained to lift lift {lifted()} %"
     )
     assert pick == (
         "By seeing, then solving: the right one of four is picked in "
@@ -218,6 +220,31 @@ def test_the_page_shows_what_was_tidied_as_it_is_in_the_table():
             assert lines[title][row["robot"] == "irb120"] == shown, title
             checked += 1
     assert checked == 12
+
+
+def test_graphs_of_others_are_compared_with_the_colour_alone():
+    page = (RESULTS / "other-graphs.md").read_text("utf-8")
+    graph, colours = (
+        np.array(re.findall(r"[\d.]+", line), float)
+        for line in re.findall(
+            r"^\| first images: (?:graph|colours only) \|(.+)\|$", page, re.M
+        )
+    )
+    gain = f"{span(graph - colours)} points"
+    assert f"in first images {gain} more often" in " ".join(page.split())
+    readme = (RESULTS / "README.md").read_text("utf-8")
+    assert f"in first images {gain} above the colour alone" in readme
+
+
+def test_the_index_says_what_blind_agents_leave():
+    page = " ".join((RESULTS / "vision.md").read_text("utf-8").split())
+    (ends,) = re.findall(
+        r"agent by ([\d.]+) to ([\d.]+) points .+? and ([\d.]+) to ([\d.]+) \(TIAGo",
+        page,
+    )
+    gain = span([float(end) for end in ends])
+    readme = (RESULTS / "README.md").read_text("utf-8")
+    assert f"| {gain} points above the best blind agent |" in readme
 
 
 def test_the_worst_split_of_each_pack_is_named():
