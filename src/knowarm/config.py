@@ -42,7 +42,10 @@ def check_values(config: Any, *, where: str = "", name: str = "") -> None:
 
     ``name`` is that of the field whose value it is.
     """
-    if dataclasses.is_dataclass(config):
+    if isinstance(config, int | float):  # as most values are
+        if not isinstance(config, bool):
+            check_number(config, name, where)
+    elif dataclasses.is_dataclass(config):
         prefix = where or type(config).__name__
         for name, field in _fields(typing.cast(Any, type(config))).items():
             value = getattr(config, name)
@@ -56,8 +59,6 @@ def check_values(config: Any, *, where: str = "", name: str = "") -> None:
     elif isinstance(config, Mapping):
         for key, value in config.items():
             check_values(value, where=f"{where}.{key}")
-    elif isinstance(config, int | float) and not isinstance(config, bool):
-        check_number(config, name, where)
 
 
 class _Field(NamedTuple):

@@ -3,7 +3,8 @@
 import re
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from itertools import chain, islice
+from functools import cache
+from itertools import chain, islice, repeat
 from operator import itemgetter
 from typing import NamedTuple
 
@@ -87,6 +88,7 @@ class Vocabulary:
         self._by_form = defaultdict[str, set[str]](set)
         self._by_first = defaultdict[str, list[Entry]](list)
         self._said: dict[str, frozenset[Relation]] = {}
+        self._by_id: dict[int, Relation] = {}
         self._narrow, self._broad = _subproperties(graph)
         self._has_many_kinds = sum(map(len, kind_relations(graph))) > 1
         for name in objects:
@@ -117,8 +119,10 @@ class Vocabulary:
         """Yield the triples whose heads are some entities."""
         graph = self.graph
         for head in heads:
-            for row in graph.out_rows(head):
-                yield head, int(graph.relations[row]), int(graph.tails[row])
+            rows = graph.out_rows(head)
+            relations = graph.relations[rows].tolist()
+            tails = graph.tails[rows].tolist()
+            yield from zip(repeat(head), relations, tails, strict=False)
 
     def _pairs(self, heads: Collection[int]) -> Iterator[tuple[Relation, int]]:
         """Yield the relations of entities and what they lead to."""
@@ -137,6 +141,12 @@ class Vocabulary:
         A relation that denies is said by those of its words alone that turn its sense, if any:
         ``unsafeFor`` by "unsafe"; what it denies is asked of the relation that affirms it.
         """
+        if index not in self._by_id:
+            self._by_id[index] = self._named(index)
+        return self._by_id[index]
+
+    def _named(self, index: int) -> Relation:
+        """Return the relation of a name, which `_relation` keeps."""
         names = self.graph.relation_names
         name = names.short(index)
         if name in self.relations:
@@ -373,6 +383,7 @@ def _subproperties(graph: KnowledgeGraph) -> tuple[set[str], set[str]]:
     return narrow, broad
 
 
+@cache
 def words_of(label: str) -> Words:
     """Return the words of a name or label in lower case."""
     label = re.sub(r"(?<=\w)\.[nvasr]\.\d+$", "", label)  # of WordNet

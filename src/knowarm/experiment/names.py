@@ -2,7 +2,8 @@
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields, replace
-from itertools import product, starmap
+from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -70,10 +71,10 @@ class ExperimentName:
 
     def __str__(self) -> str:
         """Return the name."""
-        task = "" if self.task == DEFAULT_TASK else f"-{self.task}"
-        suffix = "" if self.colours == colours_of(self.task)[0] else RANDOMIZED
         robot = Path(self.robot).stem if self.robot.endswith(SUFFIX) else self.robot
-        return f"{robot}{task}-{self.agent}{suffix}-{self.algorithm}"
+        has_default_colours = self.colours == colours_of(self.task)[0]
+        middle = _middle(self.task, self.agent, has_default_colours)
+        return f"{robot}-{middle}-{self.algorithm}"
 
     @classmethod
     def parse(cls, text: str) -> "ExperimentName":
@@ -176,15 +177,19 @@ def colours_of(task: str) -> tuple[Colours, ...]:
 
 def experiment_names() -> list[str]:
     """List the names of all experiments of the shipped robots."""
-    names: list[str] = []
-    for robot in ROBOTS:
-        for agent, entry in AGENTS.items():
-            for task in tasks_of(entry):
-                parts = product(
-                    [robot], [task], [agent], colours_of(task), algorithms()
-                )
-                names += map(str, starmap(ExperimentName, parts))
-    return names
+    middles: list[str] = []
+    for agent, entry in AGENTS.items():
+        for task in tasks_of(entry):
+            is_default = [True, False][: len(colours_of(task))]
+            middles += map(partial(_middle, task, agent), is_default)
+    return list(map("-".join, product(ROBOTS, middles, algorithms())))
+
+
+def _middle(task: str, agent: str, has_default_colours: bool) -> str:
+    """Return a name without robot and algorithm."""
+    prefix = "" if task == DEFAULT_TASK else f"{task}-"
+    suffix = "" if has_default_colours else RANDOMIZED
+    return f"{prefix}{agent}{suffix}"
 
 
 def _example(text: str) -> str:

@@ -270,7 +270,7 @@ class KnowledgeGraph:
 
     def linking(self, rows: Ids, relations: Sequence[int]) -> Ids:
         """Return those rows whose triples have one of some relations and are believed, (k,)."""
-        if not relations:
+        if not relations or not len(rows):
             return rows[:0]
         return self.believed(rows[np.isin(self.relations[rows], relations)])
 

@@ -144,7 +144,7 @@ def value_id(graph: KnowledgeGraph, name: str, counts: Counts) -> int | None:
 
 def best_described(graph: KnowledgeGraph, name: str) -> list[int]:
     """Return the ids of a name that are described best, several if they are alike."""
-    return _best(graph, name, _counts(graph, name))[0]
+    return _best_named(graph, name)[0]
 
 
 def short(graph: KnowledgeGraph, entity: int) -> str:
@@ -225,7 +225,7 @@ def _object(graph: KnowledgeGraph, name: str) -> tuple[int | None, str]:
     exact = graph.names.find(name)
     if exact is not None and is_iri(name) and graph.has_node(exact):
         return exact, ""
-    best, others = _best(graph, name, _counts(graph, name))
+    best, others = _best_named(graph, name)
     if len(best) > 1:
         raise several(name, "entities", graph.names.at(best))
     for entity in best:
@@ -241,6 +241,14 @@ def _note(graph: KnowledgeGraph, name: str, entity: int, others: list[int]) -> s
         f"{name!r} is taken for {graph.names[entity]}, and not for "
         f"{', '.join(graph.names.at(others[:5]))}. Give the full name to mean another one."
     )
+
+
+def _best_named(graph: KnowledgeGraph, name: str) -> tuple[list[int], list[int]]:
+    """Return the same as `_best` of those that count as of the name."""
+    same = graph.entity_spellings.same_name(name, graph.has_node)
+    if len(same) < 2:
+        return same, []
+    return _best(graph, name, _counts(graph, name, set(same)))
 
 
 def _best(
@@ -268,17 +276,14 @@ def _best(
     return best, others
 
 
-def _counts(graph: KnowledgeGraph, name: str) -> Counts:
-    """Return whether an id counts as of this name.
+def _counts(graph: KnowledgeGraph, name: str, same: set[int]) -> Counts:
+    """Return whether an id counts of several of the same name.
 
-    Of several none does that is called after its class, as `mug_0` with the label "mug".
+    None does that is called after its class, as `mug_0` with the label "mug".
     """
-    same = set(graph.entity_spellings.same_name(name, graph.has_node))
     key = name_key(name)
 
     def counts(entity: int) -> bool:
-        if len(same) == 1:
-            return entity in same
         word = numbered(local_name(graph.names[entity]))
         is_counted = word is not None and name_key(word.word) == key
         is_typed = not same.isdisjoint(types_of(graph, entity))

@@ -93,13 +93,18 @@ def individuals_of(graph: KnowledgeGraph, word: str, entity: int | None) -> list
     if entity is not None:
         for kind in _subclasses(graph, entity):
             individuals.update(_typed(graph, kind))
-    same = best_described(graph, word)
     key = name_key(word)
+
+    @cache
+    def is_told_of() -> bool:
+        """Return whether facts are stated about the word itself; often nobody asks."""
+        return _has_facts(graph, best_described(graph, word))
+
     for individual in graph.names.find_beginning(word):
         counted = numbered(local_name(graph.names[individual]))
         if counted is None or name_key(counted.word) != key:
             continue
-        is_counted = counted.is_parted or not _has_facts(graph, same)
+        is_counted = counted.is_parted or not is_told_of()
         is_open = not is_class(graph, individual) and not types_of(graph, individual)
         if graph.has_node(individual) and is_counted and is_open:
             individuals.add(individual)

@@ -1,6 +1,6 @@
 """Names of a graph by number, and what they are found by: spellings, last parts and labels."""
 
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from itertools import chain
@@ -136,8 +136,9 @@ class Index:
     def __getitem__(self, text: str) -> list[int]:
         """Return the ids of a text, ascending."""
         wanted = hash(text)
-        low = np.searchsorted(self._sorted, wanted)
-        high = np.searchsorted(self._sorted, wanted, "right")
+        # For one text faster than searchsorted
+        low = bisect_left(self._sorted, wanted)
+        high = bisect_right(self._sorted, wanted, low)
         ids = set()
         for row in self._order[low:high]:
             if self.texts[row] == text:
