@@ -40,6 +40,22 @@ def documents():
     return {path: text for path, text in pages.items() if "lab-notes" not in path}
 
 
+def words_in(tree):
+    """Yield the names in a syntax tree, and the words of its strings but those of docstrings."""
+    nodes = [tree]
+    while nodes:
+        node = nodes.pop()
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+            continue
+        for value in vars(node).values():
+            if isinstance(value, str):
+                yield from re.findall(r"\w+", value)
+            elif isinstance(value, list):
+                nodes += [part for part in value if isinstance(part, ast.AST)]
+            elif isinstance(value, ast.AST):
+                nodes.append(value)
+
+
 @cache
 def known_words():
     """Return every name in the code, and every word in its strings; docstrings do not count."""
@@ -47,19 +63,8 @@ def known_words():
     for path, text in files(
         "src", "tests", "examples", "scripts", "benchmarks"
     ).items():
-        tree = ast.parse("" if path == "tests/test_docs.py" else text)
-        prose = {
-            id(node.value)
-            for node in ast.walk(tree)
-            if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
-        }
-        for node in ast.walk(tree):
-            if isinstance(node, ast.Constant) and isinstance(node.value, str):
-                if id(node) not in prose:
-                    words.update(re.findall(r"\w+", node.value))
-                continue
-            for field in ("id", "attr", "arg", "name", "asname", "module"):
-                words.update(str(getattr(node, field, None) or "").split("."))
+        if path != "tests/test_docs.py":
+            words.update(words_in(ast.parse(text)))
     for text in files("examples", "src", suffix=".toml").values():
         words.update(re.findall(r"\w+", text))
     words.update(re.findall(r"\w+", (ROOT / "Makefile").read_text(encoding="utf-8")))

@@ -28,9 +28,13 @@ STUDY = {
     "total_steps": 40,
     "checkpoint_every_steps": 20,
     "interim": {"every_steps": 20, "episodes": 2},
+    "policy": {"features": 16},
     "algorithm": ALGORITHM,
 }
-"""Two updates, with a checkpoint and an evaluation after each; the runs of a tiny study."""
+"""Two updates, with a checkpoint and an evaluation after each; the runs of a tiny study.
+
+Their networks are small: packs compress the checkpoints.
+"""
 
 CHOOSE_ENV = {
     "dynamics": "kinematic",

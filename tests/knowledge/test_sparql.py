@@ -100,17 +100,17 @@ def test_threads_do_not_see_what_another_one_states():
     def ask(colour):
         query = SparqlQuery(graph, "SELECT ?c { :mug :hasColor ?c }")
         with stores.stating(query.store, "mug", ["hasColor"], [colour]):
-            inside = [query.answer().rows for _ in range(3)]
+            inside = [query.answer().rows for _ in range(2)]
         return set(inside)
 
     def read(_):
-        return {sparql(graph, "SELECT ?c { :mug :hasColor ?c }").rows for _ in range(3)}
+        return {sparql(graph, "SELECT ?c { :mug :hasColor ?c }").rows for _ in range(2)}
 
     with ThreadPoolExecutor(8) as pool:
-        asked = list(pool.map(ask, colours * 3))
-        looked = pool.map(read, range(12))
-        assert asked == [{((colour,),)} for colour in colours] * 3
-        assert list(looked) == [{before}] * 12
+        asked = pool.map(ask, colours)
+        looked = pool.map(read, range(4))
+        assert list(asked) == [{((colour,),)} for colour in colours]
+        assert list(looked) == [{before}] * 4
 
 
 @pytest.mark.parametrize("name", HAZARDS)

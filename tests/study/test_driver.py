@@ -22,17 +22,20 @@ from knowarm.study.worker import STOP
 from tests.study.tiny import InlineExecutor, tiny
 from tests.tiny import STUDY
 
+NONE_AGAIN = Where(retries=0)
+"""Runs whose worker dies are not started again: how runs start needs no training."""
+
 
 @pytest.fixture
 def executors(monkeypatch):
-    """Executors that were made, in order; the first one lets three workers die."""
+    """Executors that were made, in order; the first one lets as many workers die as it says."""
     made = []
 
     def make(where, out):
-        made.append(InlineExecutor(where, out, deaths=3 if make.dies else 0))
+        made.append(InlineExecutor(where, out, deaths=make.deaths))
         return made[-1]
 
-    make.dies = False
+    make.deaths = 0
     monkeypatch.setattr(driver, "make_executor", make)
     monkeypatch.setattr(driver, "POLL_S", 0.0)
     monkeypatch.setattr(driver, "STATUS_S", 0.0)
@@ -111,7 +114,8 @@ def best_step(out, status):
 
 def test_listed_runs_start_in_their_order(tmp_path, executors):
     names = ("irb120-full-ppo/1", "irb120-bm-ppo", "irb120-full-ppo")
-    study = tiny(experiments=names, seeds=(0,), order="listed")
+    study = tiny(experiments=names, seeds=(0,), order="listed", where=NONE_AGAIN)
+    executors[0].deaths = 3
     run_study(study, tmp_path)
     bm, full = "irb120-bm-ppo", "irb120-full-ppo"
     assert executors[-1].started == [(full, 1), (bm, 0), (full, 0)]
@@ -142,7 +146,7 @@ def test_an_error_fails_its_run_only_and_retry_resumes_it(
 
 
 def test_a_killed_worker_is_started_again_a_few_times(tmp_path, executors):
-    executors[0].dies = True
+    executors[0].deaths = 3
     study = tiny(seeds=(0,), where=Where(retries=3))
     assert run_study(study, tmp_path / "enough")[0].state == "done"
     study = tiny(seeds=(0,), where=Where(retries=2))
@@ -189,7 +193,9 @@ def test_a_run_that_another_worker_began_meanwhile_is_resumed(
 def test_runs_start_seed_by_seed_and_the_longest_first(tmp_path, executors):
     longer = OverridesFor(experiments="tiago-*", fields={"total_steps": 100})
     names = ("irb120-bm-ppo", "tiago-bm-ppo")
-    run_study(tiny(seeds=(3, 0), experiments=names, overrides_for=(longer,)), tmp_path)
+    runs = {"seeds": (3, 0), "experiments": names, "overrides_for": (longer,)}
+    executors[0].deaths = 4
+    run_study(tiny(where=NONE_AGAIN, **runs), tmp_path)
     assert executors[-1].started == [
         (name, seed) for seed in (3, 0) for name in names[::-1]
     ]

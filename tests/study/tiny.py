@@ -18,6 +18,7 @@ seeds = [0, 1]
 total_steps = 40
 checkpoint_every_steps = 20
 interim = {every_steps = 20, episodes = 2}
+policy = {features = 16}
 algorithm = {num_envs = 4, rollout_steps = 5, minibatches = 2, processes = 1}
 [[evaluations]]
 episodes = 2

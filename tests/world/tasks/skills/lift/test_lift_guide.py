@@ -28,7 +28,6 @@ class ShortSightedAgent(knowarm.OracleAgent):
     """Knows nothing of the objects that are not meant."""
 
     def reset(self, batch):
-        super().reset(batch)
         sight = Sight.true(self._env.running)
         only = sight._replace(objects=sight.objects[:, :1], places=sight.places[:, :1])
         self.path = self.guide.path(only)

@@ -27,9 +27,13 @@ def make_env(robot="irb120", count=8, task="place"):
     return knowarm.make(robot, num_envs=count, task=task, image_size=8)
 
 
-def started(env, seed=0):
+def begin(env, seed=0):
     episodes = knowarm.evaluation_episodes(env.config, env.num_envs, seed)
     env.reset(options={"episodes": episodes})
+
+
+def started(env, seed=0):
+    begin(env, seed)
     agent = knowarm.OracleAgent(env)
     agent.reset(Batch.of(env))
     return agent
@@ -131,7 +135,7 @@ def test_taking_another_object_ends_the_episode():
 
 def test_unstable_physics_is_an_end_of_its_own():
     env = make_env(count=3, task="choose-place")
-    started(env)
+    begin(env)
     simulation = env.simulation
     simulation.batch.bind("qvel")[1, simulation._target_qvel] = 1e12
     actions = np.zeros(env.action_space.shape, np.int64)
@@ -158,7 +162,7 @@ def test_a_restored_state_continues_to_the_byte():
 def test_what_is_held_may_touch_nothing_either():
     """Above another object there is a height that is free without what the gripper holds."""
     env = make_env(count=6, task="choose-place")
-    started(env)
+    begin(env)
     state = env.running
     sight = Sight.true(state)
     arm = replace(env.config, task=find_task("choose"), dynamics="kinematic")

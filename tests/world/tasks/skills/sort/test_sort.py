@@ -11,7 +11,6 @@ from knowarm.errors import UserError
 from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.graph.builder import graph_of
 from knowarm.knowledge.graph.edits import edited
-from knowarm.world.agents import Batch
 from knowarm.world.robots import ROBOTS, find_robot
 from knowarm.world.tasks.asked.query.query import AskObject
 from knowarm.world.tasks.asked.query.query_source import GraphQueries
@@ -251,7 +250,6 @@ def test_on_another_tray_it_is_lost_as_such():
     right = env.running.memory["destination"]
     number = np.argmax((centres == right[:, None]).all(axis=2), axis=1)
     wrong = Sight.true(env.running)._replace(destination=centres[(number + 1) % 3])
-    agent.reset(Batch.of(env))
     agent.path = agent.guide.path(wrong)
     placing = np.full(COUNT, "running  ", "<U16")
     for _ in range(159):
