@@ -114,9 +114,10 @@ def best_step(out, status):
 
 def test_listed_runs_start_in_their_order(tmp_path, executors):
     names = ("irb120-full-ppo/1", "irb120-bm-ppo", "irb120-full-ppo")
-    study = tiny(experiments=names, seeds=(0,), order="listed", where=NONE_AGAIN)
+    longer = OverridesFor(experiments="irb120-full-ppo", fields={"total_steps": 100})
+    runs = {"seeds": (0,), "experiments": names, "overrides_for": (longer,)}
     executors[0].deaths = 3
-    run_study(study, tmp_path)
+    run_study(tiny(order="listed", where=NONE_AGAIN, **runs), tmp_path)
     bm, full = "irb120-bm-ppo", "irb120-full-ppo"
     assert executors[-1].started == [(full, 1), (bm, 0), (full, 0)]
 
