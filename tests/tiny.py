@@ -9,9 +9,16 @@ from knowarm.experiment.names import experiment_config
 
 ALGORITHM = {"num_envs": 4, "rollout_steps": 5, "minibatches": 2, "processes": 1}
 
+NETWORK = {"features": 16, "hidden": 16}
+"""A small network: optimizers, checkpoints and packs take long for a large one."""
+
+EPISODE = {"max_episode_steps": 25}
+
 TINY = {
     "total_steps": 40,
     "interim": {"every_steps": 40, "episodes": 2},
+    "env": EPISODE,
+    "policy": NETWORK,
     "algorithm": ALGORITHM,
 }
 """Two updates, without a checkpoint between them."""
@@ -20,6 +27,8 @@ SHORT = {
     "total_steps": 160,
     "checkpoint_every_steps": 40,
     "interim": {"every_steps": 80, "episodes": 2},
+    "env": EPISODE,
+    "policy": NETWORK,
     "algorithm": ALGORITHM,
 }
 """Eight updates, with checkpoints and evaluations between them; the settings of `short`."""
@@ -28,13 +37,11 @@ STUDY = {
     "total_steps": 40,
     "checkpoint_every_steps": 20,
     "interim": {"every_steps": 20, "episodes": 2},
-    "policy": {"features": 16},
+    "env": EPISODE,
+    "policy": NETWORK,
     "algorithm": ALGORITHM,
 }
-"""Two updates, with a checkpoint and an evaluation after each; the runs of a tiny study.
-
-Their networks are small: packs compress the checkpoints.
-"""
+"""Two updates, with a checkpoint and an evaluation after each; the runs of a tiny study."""
 
 CHOOSE_ENV = {
     "dynamics": "kinematic",
@@ -46,7 +53,8 @@ CHOOSE_NAME = "irb120-choose-subgraph-fast"
 CHOOSE = {
     "total_steps": 200,
     "knows": {"grounding": {"images": 64, "rounds": 2, "batch": 32}},
-    "env": CHOOSE_ENV,
+    "env": {**CHOOSE_ENV, **EPISODE},
+    "policy": NETWORK,
     "algorithm": {"num_envs": 4, "rollout_steps": 25, "minibatches": 2, "processes": 1},
     "interim": {"every_steps": 100, "episodes": 4},
 }

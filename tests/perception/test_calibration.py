@@ -76,6 +76,11 @@ def test_the_level_holds_for_each_object():
     objects = torch.from_numpy(number_objects(facets))
     arrays = calibration.name_likelihoods(network, env, trained.config.seed)
     alike = np.zeros(len(facets), np.int64)  # one quantile for all
+    everything = torch.ones(1, len(facets)).expand(100, -1)
+    parts = []
+    for start in range(0, len(labels.images), 100):
+        rows = slice(start, start + 100)
+        parts.append((rows, grounding.see(labels.images[rows], everything)))
     least = {}
     sizes = {}
     for name, groups in {"own": objects.numpy(), "one": alike}.items():
@@ -84,10 +89,7 @@ def test_the_level_holds_for_each_object():
         )
         covered = torch.zeros(labels.facets.shape)
         counts = torch.zeros(labels.facets.shape)
-        for start in range(0, len(labels.images), 100):
-            rows = slice(start, start + 100)
-            everything = torch.ones(1, len(facets)).expand(100, -1)
-            seen = grounding.see(labels.images[rows], everything)
+        for rows, seen in parts:
             for column in range(labels.facets.shape[1]):
                 asked = torch.nn.functional.one_hot(
                     labels.facets[rows, column], len(facets)

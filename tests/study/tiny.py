@@ -18,8 +18,9 @@ seeds = [0, 1]
 total_steps = 40
 checkpoint_every_steps = 20
 interim = {every_steps = 20, episodes = 2}
-policy = {features = 16}
 algorithm = {num_envs = 4, rollout_steps = 5, minibatches = 2, processes = 1}
+env = {max_episode_steps = 25}
+policy = {features = 16, hidden = 16}
 [[evaluations]]
 episodes = 2
 probes = [{ kind = "steps" }, { kind = "films", episodes = 1 }]
