@@ -25,6 +25,7 @@ seeds = [0]
 [overrides]
 total_steps = 400
 interim = {every_steps = 200, episodes = 2}
+policy = {features = 16, hidden = 16}
 algorithm.workers = 2
 [[evaluations]]
 episodes = 6

@@ -31,6 +31,8 @@ from knowarm.experiment.load import load_agent
 from knowarm.experiment.names import experiment_config
 from knowarm.perception.config import GroundingSpec
 
+pytestmark = pytest.mark.usefixtures("small_films")
+
 ROOT = Path(__file__).parents[2]
 RUN = str(ROOT / "zoo" / "irb120-choose-subgraph-fast")
 

@@ -7,6 +7,8 @@ import pytest
 import knowarm
 from knowarm.asking.asker import ask
 
+pytestmark = pytest.mark.usefixtures("small_films")
+
 ZOO = Path(__file__).parents[2] / "zoo"
 
 TAUGHT = ZOO / "irb120-choose-answers-fast"

@@ -11,6 +11,8 @@ from knowarm.asking.lexicon import DESTINATIONS, HOME, match_putting, what_is_pu
 from knowarm.errors import UserError
 from knowarm.experiment.load import load_agent
 
+pytestmark = pytest.mark.usefixtures("small_films")
+
 RUN = Path(__file__).parents[2] / "zoo" / "tiago-choose-sort-answers-seen"
 TOLD = "the cyan tray is the garage; the yellow tray is the kitchen"
 

@@ -13,6 +13,8 @@ from knowarm.experiment.load import load_agent
 from knowarm.knowledge import graph_of
 from tests.asking.test_offered import RUN
 
+pytestmark = pytest.mark.usefixtures("small_films")
+
 FACETS = [
     (name, hue) for name in ("mug", "jar", "bowl", "lamp") for hue in ("red", "blue")
 ]

@@ -22,6 +22,8 @@ from knowarm.world.tasks.skills.sort.belongings import true_belongings
 from knowarm.world.tasks.skills.sort.sort import apart
 from tests.thorough import thorough
 
+pytestmark = pytest.mark.usefixtures("small_films")
+
 ZOO = Path(__file__).parents[2] / "zoo"
 RUN = ZOO / "tiago-choose-sort-answers-seen"
 SCENES = thorough(2, 3)

@@ -36,8 +36,8 @@ def test_it_is_asked_for_by_one_command_line(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     network = ZOO / "irb120-choose-answers-fast" / "perception.safetensors"
     train = ["train", "irb120-choose-answers-seen", "--env.task", SKILL]
-    main([*train, "--perception", str(network)])
+    main([*train, "--perception", str(network), "--interim.episodes", "2"])
     (run,) = Path("runs").glob("*/0")
-    result = knowarm.evaluate(run, episodes=24, probes=(), write=False)
+    result = knowarm.evaluate(run, episodes=16, probes=(), write=False)
     assert result.summary["success"] > 0.2
-    assert len(set(result.episodes["query"])) > 12
+    assert len(set(result.episodes["query"])) > 8
