@@ -88,7 +88,7 @@ class Vocabulary:
         self._by_form = defaultdict[str, set[str]](set)
         self._by_first = defaultdict[str, list[Entry]](list)
         self._said: dict[str, frozenset[Relation]] = {}
-        self._by_id: dict[int, Relation] = {}
+        self._relation = cache(self._named)
         self._narrow, self._broad = _subproperties(graph)
         self._has_many_kinds = sum(map(len, kind_relations(graph))) > 1
         for name in objects:
@@ -135,18 +135,12 @@ class Vocabulary:
         """Return whether a relation is of OWL, as ``onProperty``: nothing that people say."""
         return self.graph.relation_names[relation].startswith(OWL)
 
-    def _relation(self, index: int) -> Relation:
+    def _named(self, index: int) -> Relation:
         """Return a relation, which can be said from now on.
 
         A relation that denies is said by those of its words alone that turn its sense, if any:
         ``unsafeFor`` by "unsafe"; what it denies is asked of the relation that affirms it.
         """
-        if index not in self._by_id:
-            self._by_id[index] = self._named(index)
-        return self._by_id[index]
-
-    def _named(self, index: int) -> Relation:
-        """Return the relation of a name, which `_relation` keeps."""
         names = self.graph.relation_names
         name = names.short(index)
         if name in self.relations:

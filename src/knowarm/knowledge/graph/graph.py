@@ -133,6 +133,11 @@ class KnowledgeGraph:
         """Tails in the order of `by_tail`, (n,) int32."""
         return self.tails[self.by_tail]
 
+    @cached_property
+    def best_described(self) -> dict[str, tuple[int, ...]]:
+        """What `homonyms.best_described` has found, by the name."""
+        return {}
+
     def __len__(self) -> int:
         return len(self.heads)
 
@@ -277,7 +282,7 @@ class KnowledgeGraph:
     def rows(self, rows: Ids, nodes: Ids = _NO_NODES) -> "KnowledgeGraph":
         """Return the triples of rows, (k,) int ascending or (n,) bool, and nodes (m,) without."""
         subgraph = copy.copy(self)
-        for cached in ("nodes", "by_tail", "tails_sorted"):
+        for cached in ("nodes", "by_tail", "tails_sorted", "best_described"):
             subgraph.__dict__.pop(cached, None)
         subgraph.heads = self.heads[rows]
         subgraph.relations = self.relations[rows]

@@ -144,7 +144,10 @@ def value_id(graph: KnowledgeGraph, name: str, counts: Counts) -> int | None:
 
 def best_described(graph: KnowledgeGraph, name: str) -> list[int]:
     """Return the ids of a name that are described best, several if they are alike."""
-    return _best_named(graph, name)[0]
+    found = graph.best_described
+    if name not in found:
+        found[name] = tuple(_best_named(graph, name)[0])
+    return list(found[name])
 
 
 def short(graph: KnowledgeGraph, entity: int) -> str:
