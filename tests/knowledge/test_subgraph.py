@@ -3,6 +3,7 @@ import pytest
 
 from knowarm.errors import UserError
 from knowarm.knowledge import gamma, graph_of, household, sentence
+from knowarm.knowledge.graph.homonyms import best_described
 
 CHAIN = graph_of(
     [
@@ -83,3 +84,11 @@ def test_bad_requests():
         gamma(household(), ["mug"], direction="up")
     with pytest.raises(UserError, match=r"subgraph of mug is empty.*direction='both'"):
         sentence(gamma(household(), ["mug"], relations=["needs"]))
+
+
+def test_a_name_means_what_the_subgraph_describes():
+    triples = [("Mug", "usedFor", "tea"), ("Mug", "usedFor", "milk")]
+    graph = graph_of([*triples, ("mug", "usedFor", "tea")])
+    assert graph.names.at(best_described(graph, "mug")) == ["Mug"]
+    part = gamma(graph, ["mug"])
+    assert part.names.at(best_described(part, "mug")) == ["mug"]
