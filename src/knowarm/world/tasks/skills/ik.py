@@ -105,7 +105,9 @@ class InverseKinematics:
         """Find joint angles for n gripper poses, near the angles ``start`` (n, J) [rad].
 
         Positions (n, 3) [m] and row-major rotations (n, 9) are those of the gripper in the world.
-        Poses that are not reached are tried from ``attempts`` sets of random starts.
+        Poses that are not reached are tried from ``attempts`` sets of random starts. With one,
+        positions can be those of T poses each, (T, n, 3), and so are the joint angles; rotations
+        and ``start`` broadcast.
         """
         solution = self._solve_once(position, matrix, start, self._seed)
         for attempt in range(1, attempts):
@@ -123,12 +125,15 @@ class InverseKinematics:
     def solve_path(
         self, position: Floats, matrix: Floats, start: Floats, shifts: Floats
     ) -> Floats:
-        """Solve for poses moved by each of W shifts, from the solution before, (n, W, J) [rad]."""
+        """Solve for poses moved by each of W shifts, from the solution before, (n, W, J) [rad].
+
+        Shifts can be those of T poses each, (W, T, n, 3), and so are the joint angles.
+        """
         path = []
         for shift in shifts:
             start = self.solve(position + shift, matrix, start, attempts=1).joints
             path.append(start)
-        return np.stack(path, axis=1)
+        return np.stack(path, axis=-2)
 
     def pose(self, joints: Floats) -> Frames:
         """Compute positions (n, 3) [m] and row-major rotations (n, 9) at joint angles (n, J)."""
@@ -148,21 +153,22 @@ class InverseKinematics:
     def _solve_once(
         self, position: Floats, matrix: Floats, start: Floats, seed: int
     ) -> IKSolution:
-        n, joints = start.shape
+        shape = (self._starts, *position.shape[:-1])
+        n = position.size // 3
         lower = self.scene.joint_lower
         upper = self.scene.joint_upper
+        joints = len(lower)
         generator = np.random.default_rng(seed)
         # All poses share the random starts, so a solution depends on its own pose only.
         starts = generator.uniform(lower, upper, (self._starts, 1, joints))
-        q = np.repeat(starts, n, axis=1)
+        q = np.repeat(starts, n, axis=1).reshape(*shape, joints)
         q[0] = start
         if self._starts > 1:
             q[1] = self.scene.home
+        start = np.broadcast_to(start, q.shape).reshape(-1, joints)
+        position = np.broadcast_to(position, (*shape, 3)).reshape(-1, 3)
+        matrix = np.broadcast_to(matrix, (*shape, 9)).reshape(-1, 9)
         q = q.reshape(-1, joints)
-        copies = (self._starts, 1)
-        position = np.tile(position, copies)
-        matrix = np.tile(matrix, copies)
-        start = np.tile(start, copies)
         self._improve(q, position, matrix)
         q = self._unwind(q, start)
         count = len(q)
@@ -184,6 +190,7 @@ class InverseKinematics:
         # Smallest change first, then solutions in contact, then poses that are not reached.
         cost = change + 100.0 * touches + 1000.0 * missed
         best = cost.reshape(self._starts, n).argmin(axis=0) * n + np.arange(n)
+        best = best.reshape(shape[1:])
         return IKSolution(q[best], distance[best], angle[best], touches[best])
 
     def _improve(self, q: Floats, position: Floats, matrix: Floats) -> None:
@@ -240,7 +247,6 @@ def _without_roll(
     """Drop the rotation about the approach axis from errors (n, 6) and Jacobians (n, 6, J)."""
     axis = matrix.reshape(-1, 3, 3)[:, :, 2]
     across = ROTATION_WEIGHT * (np.eye(3) - axis[:, :, None] * axis[:, None, :])
-    error = error.copy()
     error[:, 3:] = (across @ error[:, 3:, None])[..., 0]
     turning = across @ jacobian[:, 3:]
     return error, np.concatenate([jacobian[:, :3], turning], axis=1)

@@ -112,9 +112,7 @@ def joined(legs: Sequence[Leg], largest_step: float) -> JointPath:
         count = leg.points.shape[1]
         fingers = np.repeat(leg.fingers[:, None, None], count, axis=1)
         points.append(np.concatenate([leg.points, fingers], axis=2))
-        pause = np.zeros(count, np.int64)
-        pause[-1] = leg.pause
-        pauses.append(pause)
+        pauses.append(np.pad([leg.pause], (count - 1, 0)))
     tolerance = np.concatenate([leg.tolerance for leg in legs])
     return JointPath(
         np.concatenate(points, axis=1), largest_step, tolerance, np.concatenate(pauses)
@@ -156,8 +154,8 @@ class LiftGuide(Guide):
                 poses = candidate.poses.copy()
             ids = candidate.ids
             path = self._path_through(start[ids], candidate.poses)
-            is_free = candidate.is_reached & surroundings.are_free(
-                ids, path[:, ::-1], candidate.closed
+            is_free = surroundings.are_free(
+                ids, path[:, ::-1], candidate.closed, candidate.is_reached
             )
             chosen = ids[is_free]
             poses[chosen] = candidate.poses[is_free]
@@ -203,49 +201,52 @@ class LiftGuide(Guide):
             ids = np.flatnonzero(~self.is_free)
             if not len(ids):
                 return
-            grasps = [self._grasp(turn, sight, ids) for turn in turns]
-            joints, matrices, cost = map(np.stack, zip(*grasps, strict=True))
-            for ranked in np.argsort(cost, axis=0, kind="stable"):
-                columns = np.flatnonzero(~self.is_free[ids])
-                if not len(columns):
-                    return
-                chosen = (ranked[columns], columns)
-                yield from self._approaches(
-                    ids[columns], sight, joints[chosen], matrices[chosen], cost[chosen]
-                )
+            position = np.tile(sight.position[ids], (len(turns), 1, 1))
+            matrix = np.stack([turn.of(sight.matrix[ids]) for turn in turns])
+            joints, steps = self._solve_near(position, matrix, sight.joints[ids, :-1])
+            detours = np.array([[turn.detour] for turn in turns])
+            cost = np.minimum(steps + detours, UNREACHED)
+            order = np.argsort(cost, axis=0, kind="stable")
+            is_reached = np.sort(cost, axis=0) < UNREACHED
+            for ranks, columns in tries_at_once(is_reached, self.is_free, ids):
+                grasp = (order[ranks][:, columns], columns)
+                solved = self._approach(position[grasp], matrix[grasp], joints[grasp])
+                for rank, poses in enumerate(solved, ranks.start):
+                    yield from self._lowered(
+                        ids[columns], poses, is_reached[rank, columns]
+                    )
 
-    def _grasp(
-        self, turn: Turn, sight: Sight, ids: Indices
-    ) -> tuple[Floats, Floats, Floats]:
-        """Solve for a turned grasp: joints (k, A), matrix (k, 9) and cost [steps], (k,)."""
-        start = sight.joints[ids, :-1]
-        matrix = turn.of(sight.matrix[ids])
-        solution = self._solver.solve(sight.position[ids], matrix, start, attempts=1)
-        steps = np.abs(solution.joints - start).max(axis=1) / self._largest
+    def _solve_near(
+        self, position: Floats, matrix: Floats, start: Floats
+    ) -> tuple[Floats, Floats]:
+        """Solve for T poses in each of k episodes at once, which takes little longer than for one.
+
+        Positions (T, k, 3) [m] and row-major rotations (T, k, 9) are those of the gripper.
+
+        Returns:
+            Joint angles (T, k, A) [rad] near the start (k, A), and steps to there, or
+            `UNREACHED`, (T, k).
+        """
+        solution = self._solver.solve(position, matrix, start, attempts=1)
+        steps = np.abs(solution.joints - start).max(axis=2) / self._largest
         is_reached = solution.within(REACHED_M, REACHED_DEG)
-        cost = np.where(is_reached, steps + turn.detour, UNREACHED)
-        return solution.joints, matrix, cost
+        return solution.joints, np.where(is_reached, steps, UNREACHED)
 
-    def _approaches(
-        self,
-        ids: Indices,
-        sight: Sight,
-        joints: Floats,
-        matrix: Floats,
-        cost: Floats,
-    ) -> Iterator[Candidate]:
-        """Yield paths to a grasp at joint angles (k, A) for those of k episodes that need one."""
-        back = -matrix.reshape(-1, 3, 3)[:, :, 2]
+    def _approach(self, position: Floats, matrix: Floats, joints: Floats) -> Floats:
+        """Return joint angles from above to grasps at joint angles (R, k, A), (R, k, P, A)."""
+        back = -matrix.reshape(*joints.shape[:2], 3, 3)[..., 2]
         shifts = [distance * back for distance in reversed(BACK_M)]
         shifts += [BACK_M[0] * back + height * UP for height in reversed(OVER_M)]
-        approach = self._follower.solve_path(
-            sight.position[ids], matrix, joints, np.stack(shifts)
-        )
-        poses = np.concatenate([approach[:, ::-1], joints[:, None]], axis=1)
+        approach = self._follower.solve_path(position, matrix, joints, np.stack(shifts))
+        return np.concatenate([approach[:, :, ::-1], joints[:, :, None]], axis=2)
+
+    def _lowered(
+        self, ids: Indices, poses: Floats, is_reached: Mask
+    ) -> Iterator[Candidate]:
+        """Yield paths along poses (k, P, A) for those of k episodes that need one."""
         straight = poses[:, len(OVER_M) :]
         jumps = np.abs(np.diff(straight, axis=1)).max(axis=(1, 2))
-        turns_over = jumps > MOST_STEPS * self._largest
-        is_reached = (cost < UNREACHED) & ~turns_over
+        is_reached &= jumps <= MOST_STEPS * self._largest  # Else it turns over
         for closed, left_out in product(CLOSED, reversed(range(len(OVER_M) + 1))):
             is_open = ~self.is_free[ids]
             lowered = poses[is_open]
@@ -260,6 +261,29 @@ class LiftGuide(Guide):
         share = np.linspace(0.0, 1.0, steps, endpoint=False)[:, None]
         before = start[:, None] + share * change[:, None]
         return np.concatenate([before, poses], axis=1)
+
+
+def tries_at_once(
+    can_be_free: Mask, is_free: Mask, ids: Indices
+) -> Iterator[tuple[slice, Indices]]:
+    """Yield which of T tries to solve at once, and for which of k episodes: those without a path.
+
+    The first alone, since mostly its path is free; then as many as take little longer than one.
+
+    Args:
+        can_be_free: whether a try can give a free path, (T, k); after one that cannot, none can.
+        is_free: which episodes have such a path, (n,), by what the caller has tried.
+        ids: numbers of the k episodes, (k,).
+    """
+    first = 0
+    last = 1
+    columns = np.arange(len(ids))
+    while first < last:
+        yield slice(first, last), columns
+        columns = np.flatnonzero(~is_free[ids])
+        hopeful = can_be_free[:, columns].any(axis=1).sum()
+        first = last
+        last = min(first + 1 + FEW_POSES // (1 + len(columns)), hopeful)
 
 
 class Surroundings:
@@ -291,12 +315,15 @@ class Surroundings:
         self._target = sight.objects[:, 0]
         self._held: tuple[Floats, Floats] | None = None  # Its pose in the gripper
 
-    def are_free(self, ids: Indices, path: Floats, closed: float) -> Mask:
+    def are_free(
+        self, ids: Indices, path: Floats, closed: float, can_be: Mask | bool = True
+    ) -> Mask:
         """Return in which episodes (k,) nothing is touched on a path (k, W, A) [rad], (k,).
 
-        ``closed`` is the share of their way that the fingers are closed.
+        ``closed`` is the share of their way that the fingers are closed. Paths that ``can_be`` free
+        are looked at.
         """
-        is_free = np.ones(len(ids), bool)
+        is_free = np.full(len(ids), can_be)
         for joints in path.transpose(1, 0, 2):
             left = np.flatnonzero(is_free)
             if not len(left):

@@ -1,12 +1,10 @@
 """Guide of placing: after the grip, a path for arm and object to the tray, and back without it."""
 
-from itertools import product
-
 import numpy as np
+from numpy.typing import ArrayLike
 
 from knowarm.arrays import Floats
 from knowarm.world.tasks.skills.guides import Sight
-from knowarm.world.tasks.skills.ik import REACHED_DEG, REACHED_M
 from knowarm.world.tasks.skills.lift.guide import (
     BACK_M,
     GRIP_STEPS,
@@ -18,6 +16,7 @@ from knowarm.world.tasks.skills.lift.guide import (
     LiftGuide,
     Surroundings,
     rotation,
+    tries_at_once,
 )
 from knowarm.world.tasks.skills.place.tray import THICK_M
 from knowarm.world.tasks.state import Frames
@@ -46,73 +45,59 @@ class PlaceGuide(LiftGuide):
         grasp = path[:, -1]
         surroundings.hold(grasp)
         start = self._follower.pose(grasp)
-        joints, (position, matrix), cost = self._over_tray(start, sight, grasp)
+        position, matrix = self._over_tray(start, sight)
+        joints, cost = self._solve_near(position, matrix, grasp)
         n = len(grasp)
-        rise = np.zeros((n, len(RISE), grasp.shape[1]))
+        rises = self._follower.solve_path(*start, grasp, _upwards(CARRY_M, RISE))
+        rise = rises[0].copy()
         lower = np.zeros((n, len(LOWER), grasp.shape[1]))
         is_free = np.zeros(n, bool)
-        is_first = True
-        rises: dict[float, Floats] = {}
-        for ranked, height in product(np.argsort(cost, axis=0), CARRY_M):
-            ids = np.flatnonzero(~is_free)
-            if not len(ids):
-                break
-            if height not in rises:  # The same for every turn
-                rises[height] = self._vertical(*start, grasp, height * RISE)
-            turn = (ranked[ids], ids)
-            up = rises[height][ids]
-            down = self._vertical(
-                position[turn], matrix[turn], joints[turn], height * LOWER
-            )[:, ::-1]
-            carry = np.concatenate(
-                [up, self._path_through(up[:, -1], down[:, :-1])], axis=1
+        # Each turn is tried at several heights.
+        turns = np.repeat(np.argsort(cost, axis=0), len(CARRY_M), axis=0)
+        is_reached = np.take_along_axis(cost, turns, axis=0) < UNREACHED
+        heights = np.tile(CARRY_M, len(cost))
+        for tries, columns in tries_at_once(is_reached, is_free, np.arange(n)):
+            turn = (turns[tries][:, columns], columns)
+            solved = self._follower.solve_path(
+                position[turn],
+                matrix[turn],
+                joints[turn],
+                _upwards(heights[tries], LOWER),
             )
-            is_good = cost[turn] < UNREACHED
-            is_good &= surroundings.are_free(ids, carry, 0.0)
-            # Where no path turns out to be free, the first one stays.
-            is_taken = is_good | is_first
-            rise[ids[is_taken]] = up[is_taken]
-            lower[ids[is_taken]] = down[is_taken]
-            is_free[ids] = is_good
-            is_first = False
+            for number, lowering in enumerate(solved, tries.start):
+                is_open = ~is_free[columns]
+                ids = columns[is_open]
+                if not len(ids):
+                    break
+                up = rises[number % len(CARRY_M), ids]
+                down = lowering[is_open, ::-1]
+                carry = np.concatenate(
+                    [up, self._path_through(up[:, -1], down[:, :-1])], axis=1
+                )
+                is_good = surroundings.are_free(
+                    ids, carry, 0.0, is_reached[number, ids]
+                )
+                # Where no path turns out to be free, the first one stays.
+                is_taken = is_good | (number == 0)
+                rise[ids[is_taken]] = up[is_taken]
+                lower[ids[is_taken]] = down[is_taken]
+                is_free[ids] = is_good
         self.is_free &= is_free
         return self._legs(rise, lower)
 
-    def _over_tray(
-        self, start: Frames, sight: Sight, grasp: Floats
-    ) -> tuple[Floats, Frames, Floats]:
-        """Solve for the gripper's pose where it lets go of the object, for each of T turns.
-
-        Returns:
-            Joint angles (T, n, A), positions (T, n, 3) and rotations (T, n, 9) of the gripper, and
-            costs: steps to there, or `UNREACHED`, (T, n).
-        """
+    def _over_tray(self, start: Frames, sight: Sight) -> Frames:
+        """Return the poses at which the gripper lets go of the object, one for each turn."""
         position, matrix = start
         # The gripper relative to the object, which it keeps while the object is held
         offset = position.copy()
         offset[:, :2] -= sight.places[:, 0]
         assert sight.destination is not None
-        above = np.full(len(grasp), THICK_M + RELEASE_M)
+        above = np.full(len(position), THICK_M + RELEASE_M)
         tray = np.column_stack([sight.destination, above])
-        poses = []
-        for degrees in TURNS_DEG:
-            turn = rotation(2, degrees)
-            goal = tray + offset @ turn.T
-            goal_matrix = (turn @ matrix.reshape(-1, 3, 3)).reshape(-1, 9)
-            solution = self._solver.solve(goal, goal_matrix, grasp, attempts=1)
-            steps = np.abs(solution.joints - grasp).max(axis=1) / self._largest
-            is_reached = solution.within(REACHED_M, REACHED_DEG)
-            cost = np.where(is_reached, steps, UNREACHED)
-            poses.append((solution.joints, goal, goal_matrix, cost))
-        joints, positions, matrices, costs = map(np.stack, zip(*poses, strict=True))
-        return joints, (positions, matrices), costs
-
-    def _vertical(
-        self, position: Floats, matrix: Floats, joints: Floats, heights: Floats
-    ) -> Floats:
-        """Solve for heights above a pose (k,), one after the other, (k, W, A)."""
-        shifts = np.outer(heights, UP)
-        return self._follower.solve_path(position, matrix, joints, shifts)
+        turns = np.stack([rotation(2, degrees) for degrees in TURNS_DEG])
+        matrices = turns[:, None] @ matrix.reshape(-1, 3, 3)
+        goal = tray + offset @ turns.transpose(0, 2, 1)
+        return goal, matrices.reshape(len(turns), -1, 9)
 
     def _legs(self, rise: Floats, lower: Floats) -> list[Leg]:
         """Return the legs from rising (n, W, A) to lowering (n, V, A), letting go and leaving."""
@@ -147,3 +132,8 @@ class ReturningGuide(PlaceGuide):
         beside_tray = legs[-1].points[:, -1]
         path_back = self._path_through(beside_tray, path_there[:, ::-1])
         return [*legs, self._moving(path_back, 0.0)]
+
+
+def _upwards(heights: ArrayLike, shares: Floats) -> Floats:
+    """Return W shares of each of H heights as shifts, (W, H, 1, 3) [m]."""
+    return np.outer(shares, heights)[..., None, None] * UP
