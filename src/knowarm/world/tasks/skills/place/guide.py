@@ -1,7 +1,6 @@
 """Guide of placing: after the grip, a path for arm and object to the tray, and back without it."""
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from knowarm.arrays import Floats
 from knowarm.world.tasks.skills.guides import Sight
@@ -48,7 +47,9 @@ class PlaceGuide(LiftGuide):
         position, matrix = self._over_tray(start, sight)
         joints, cost = self._solve_near(position, matrix, grasp)
         n = len(grasp)
-        rises = self._follower.solve_path(*start, grasp, _upwards(CARRY_M, RISE))
+        rises = self._follower.solve_path(
+            *start, grasp, _upwards(np.outer(RISE, CARRY_M))
+        )
         rise = rises[0].copy()
         lower = np.zeros((n, len(LOWER), grasp.shape[1]))
         is_free = np.zeros(n, bool)
@@ -62,7 +63,7 @@ class PlaceGuide(LiftGuide):
                 position[turn],
                 matrix[turn],
                 joints[turn],
-                _upwards(heights[tries], LOWER),
+                _upwards(np.outer(LOWER, heights[tries])),
             )
             for number, lowering in enumerate(solved, tries.start):
                 is_open = ~is_free[columns]
@@ -134,6 +135,6 @@ class ReturningGuide(PlaceGuide):
         return [*legs, self._moving(path_back, 0.0)]
 
 
-def _upwards(heights: ArrayLike, shares: Floats) -> Floats:
-    """Return W shares of each of H heights as shifts, (W, H, 1, 3) [m]."""
-    return np.outer(shares, heights)[..., None, None] * UP
+def _upwards(heights: Floats) -> Floats:
+    """Return W heights above each of H poses as shifts, (W, H, 1, 3) [m]."""
+    return heights[..., None, None] * UP
