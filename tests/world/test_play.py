@@ -9,9 +9,15 @@ from gymnasium.wrappers.vector import RecordEpisodeStatistics
 import knowarm
 from knowarm.errors import UserError
 from knowarm.world.agents.play import play
-from knowarm.world.agents.scripted import OracleAgent, RandomAgent, ZeroAgent
+from knowarm.world.agents.scripted import (
+    OracleAgent,
+    RandomAgent,
+    TeacherAgent,
+    ZeroAgent,
+)
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.episodes import evaluation_episodes
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.robots import ROBOTS
 from tests.world.helpers import MakeEnv
 
@@ -60,6 +66,37 @@ class Numbering(RandomAgent):
     def reset(self, batch):
         super().reset(batch)
         self.notes = {"number": np.arange(batch.size)}
+
+
+@pytest.mark.parametrize(
+    ("task", "agent"), [("reach", OracleAgent), ("lift", TeacherAgent)]
+)
+def test_physics_of_ended_episodes_stops_and_changes_nothing(
+    task: str, agent: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = EnvConfig(robot="tiago", task=task)
+    env = ArmVectorEnv(config, 4)
+    episodes = evaluation_episodes(config, 6, 0)
+    advance = ArmVectorEnv.advance
+    simulated = []
+
+    def counted(self: Any, actions: Any, active: Any, ids: Any = None) -> Any:
+        simulated.append(ids.sum())
+        return advance(self, actions, active, ids)
+
+    monkeypatch.setattr(ArmVectorEnv, "advance", counted)
+    ending = play(agent(env), env, episodes)
+    assert sum(simulated) == ending.length.sum() < 4 * len(simulated)
+
+    def without(self: Any, actions: Any, active: Any, ids: Any = None) -> Any:
+        return advance(self, actions, active)
+
+    monkeypatch.setattr(ArmVectorEnv, "advance", without)
+    going_on = play(agent(env), env, episodes)
+    for name, values in vars(going_on.steps).items():
+        np.testing.assert_array_equal(vars(ending.steps)[name], values)
+    for name, values in going_on.infos.items():
+        np.testing.assert_array_equal(ending.infos[name], values)
 
 
 def test_notes_of_an_agent_are_those_of_each_episode(make_env: MakeEnv) -> None:

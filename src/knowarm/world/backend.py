@@ -96,13 +96,16 @@ class MujocoSimulator(Rebuilt):
             self._mocap[rows, self.scene.distractor_mocap, :2] = distractor_position
         self.batch.forward(ids=env_ids, stage=self._stage)
 
-    def step(self, joint_targets: Floats) -> None:
-        """Advance by ``substeps`` to joint targets (n, J) [rad]."""
+    def step(self, joint_targets: Floats, ids: Indices | None = None) -> None:
+        """Advance by ``substeps`` to joint targets (n, J) [rad].
+
+        Of environments (m,), by default of all.
+        """
         if self.dynamics == "kinematic":
             self.set_joints(joint_targets)
         else:
             self._set_servos(slice(None), joint_targets)
-            self.batch.step(nstep=self.substeps, stage=self._stage)
+            self.batch.step(ids=ids, nstep=self.substeps, stage=self._stage)
 
     def set_joints(
         self, joint_positions: Floats, env_ids: Indices | None = None

@@ -123,7 +123,9 @@ def play_steps(
         played = running
         targets = env.joint_targets.astype(np.float32)
         actions = np.asarray(agent.act({"image": images, "joint_targets": targets}))
-        images, reward, terminated, truncated, infos = env.advance(actions, played)
+        images, reward, terminated, truncated, infos = env.advance(
+            actions, played, played
+        )
         running = played & ~(terminated | truncated)
 
 

@@ -185,12 +185,15 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
         self._write(ids, next_episode=numbers + 1)
         self._start(ids, episodes)
 
-    def move(self, steps: Floats) -> None:
-        """Add steps (n, J) [rad] to the joint targets and simulate one control period."""
+    def move(self, steps: Floats, ids: Indices | None = None) -> None:
+        """Add steps (n, J) [rad] to the joint targets and simulate one control period.
+
+        Of environments (m,), by default of all.
+        """
         scene = self.scene
         targets = self.joint_targets + steps
         self.joint_targets = targets.clip(scene.joint_lower, scene.joint_upper)
-        self.simulator.step(self.joint_targets)
+        self.simulator.step(self.joint_targets, ids)
         self.steps = self.steps + 1
         self._measure()
         if self.memory:

@@ -142,10 +142,10 @@ class BaseVectorEnv(VectorEnv[Any, ArrayT, ArrayT], Generic[ArrayT]):
         masks = [f"_{name}" for name in infos]
         return infos | dict.fromkeys(masks, self._out(where))
 
-    def _move(self, actions: Any) -> None:
-        """Simulate one step of actions (n, J)."""
+    def _move(self, actions: Any, ids: Indices | None = None) -> None:
+        """Simulate one step of actions (n, J), in all environments or in some, (m,)."""
         steps = self._interface.steps(actions, self.num_envs, self.running.increments)
-        self.running.move(steps)
+        self.running.move(steps, ids)
 
 
 class ArmVectorEnv(BaseVectorEnv[Array]):
@@ -242,7 +242,9 @@ class ArmVectorEnv(BaseVectorEnv[Array]):
         self._ended = ended
         return self._observe(), reward, terminated, truncated, self._infos() | final
 
-    def advance(self, actions: ArrayLike, active: Mask) -> Step:
+    def advance(
+        self, actions: ArrayLike, active: Mask, simulated: Mask | None = None
+    ) -> Step:
         """Play one step and reset nothing; for playing a list of episodes to its end.
 
         The observations are images in any case.
@@ -250,8 +252,9 @@ class ArmVectorEnv(BaseVectorEnv[Array]):
         Args:
             actions: as in `step`.
             active: (n,) bool, the environments to draw; the images of the others are black.
+            simulated: (n,) bool, the environments whose physics goes on; None: all.
         """
-        self._move(actions)
+        self._move(actions, None if simulated is None else np.flatnonzero(simulated))
         reward, terminated, truncated = self._outcome()
         self._ended = terminated | truncated
         side = self.config.image_size

@@ -136,17 +136,20 @@ class LiftSimulator(MujocoSimulator):
         """Set the servos' targets; that of the second finger follows the first one's."""
         self._ctrl[ids] = joint_targets[:, self._servo_joint]
 
-    def step(self, joint_targets: Floats) -> None:
+    def step(self, joint_targets: Floats, ids: Indices | None = None) -> None:
         """Advance by a control period to joint targets (n, J) [rad].
 
         Contacts of a grip need small physics steps; elsewhere the few of ``free_substeps`` do.
+        Of environments (m,), by default of all.
         """
+        if ids is None:
+            ids = self._rows
         self._set_servos(slice(None), joint_targets)
         centres = self._centre[:, self._lift_scene.bodies]
         distance = norm(centres - self.tcp_position[:, None], axis=2).min(axis=1)
         can_grip = (distance < NEAR_M) & self._may_grip(joint_targets)
-        self._advance(np.flatnonzero(~can_grip), self._free_substeps)
-        self._advance(np.flatnonzero(can_grip), self._substeps)
+        self._advance(ids[~can_grip[ids]], self._free_substeps)
+        self._advance(ids[can_grip[ids]], self._substeps)
 
     def set_joints(
         self, joint_positions: Floats, env_ids: Indices | None = None
