@@ -23,6 +23,7 @@ from knowarm.world.envs.torch_env import TorchArmVectorEnv
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.render.cpu import Raycaster
 from knowarm.world.robots import ROBOTS
+from knowarm.world.tasks.asked.part.part import AskPart
 from knowarm.world.tasks.asked.query.arrangements import Arrangements, arrange
 from knowarm.world.tasks.asked.query.layouts import support
 from knowarm.world.tasks.asked.query.query import AskObject
@@ -306,9 +307,32 @@ def test_configs_that_do_not_fit_are_refused(
         small(**options)
 
 
-def test_numbers_of_objects_outside_two_to_six_are_refused() -> None:
-    with pytest.raises(UserError, match="between 2 and 6, got 1"):
-        AskObject(objects=1)
+@pytest.mark.parametrize(
+    ("asked", "objects", "message"),
+    [
+        (AskObject, 0, "at least 1, got 0"),
+        (AskObject, 7, "between 1 and 6, got 7"),
+        (AskPart, 1, "between 2 and 6, got 1"),
+    ],
+)
+def test_other_numbers_of_objects_are_refused(
+    asked: type[AskObject], objects: int, message: str
+) -> None:
+    with pytest.raises(UserError, match=message):
+        asked(objects=objects)
+
+
+def test_a_single_object_answers_its_question() -> None:
+    env = ArmVectorEnv(small(task=AskObject(objects=1)), 16)
+    env.reset(seed=0)
+    running = env.running
+    table = questions_of(env.config)
+    assert table is not None
+    assert running.objects.shape == (16, 1)
+    assert table.satisfies[running.question, running.facet].all()
+    infos = env.config.task.infos(running)
+    assert infos["is_right_object"].all()
+    assert len(set(running.target)) > 1
 
 
 def test_episodes_of_another_number_of_objects_are_refused() -> None:

@@ -60,10 +60,11 @@ class AskPart(AskObject):
         Measure("right_object", "part of the right object", "object_correct"),
     )
 
+    fewest = 2
     kind: Literal["purpose"] = "purpose"  # type: ignore[assignment]
     """Tag in JSON."""
     objects: int = 2
-    """Objects per episode, 1 to 6, all different, with two parts each."""
+    """Objects per episode, 2 to 6, all different, with two parts each."""
     queries: GraphQueries | NameQueries = field(
         default_factory=partial(GraphQueries, graph="purposes", hold_out=("S4", "S2"))
     )

@@ -82,6 +82,9 @@ class AskObject(Asking):
         ),
     )
 
+    fewest: ClassVar[int] = 1
+    """Objects per episode at least."""
+
     kind: Literal["choose"] = "choose"
     """Tag in JSON."""
     objects: int = 4
@@ -94,7 +97,7 @@ class AskObject(Asking):
 
     def __post_init__(self) -> None:
         check_values(self)
-        within(self, 1, MAX_OBJECTS, "objects", where="AskObject.")
+        within(self, self.fewest, MAX_OBJECTS, "objects", where="AskObject.")
 
     @property
     def title(self) -> str:
