@@ -110,10 +110,6 @@ def test_errors_name_what_to_change(table: QuestionTable) -> None:
             {"shown": np.array([False, True, True, True])},
             "red mug, which this split does not show",
         ),
-        (
-            {"related": np.eye(4, dtype=np.bool_)},
-            "'usedFor drinking' with target red mug",
-        ),
         ({"related": np.triu(np.ones((4, 4), dtype=np.bool_))}, "must be symmetric"),
     ):
         with pytest.raises(UserError, match=message):
@@ -124,5 +120,9 @@ def test_a_question_needs_distractors_of_different_objects(
     table: QuestionTable,
 ) -> None:
     table.check_objects(2)
+    unrelated = replace(table, related=np.eye(4, dtype=np.bool_))
+    unrelated.check_objects(1)  # An object alone needs none.
+    with pytest.raises(UserError, match="'usedFor drinking' with target red mug"):
+        unrelated.check_objects(2)
     with pytest.raises(UserError, match="3 objects per episode need 2"):
         table.check_objects(3)

@@ -146,7 +146,6 @@ class QuestionTable:
                 f"any of the {int(self.shown.sum())} facets that are shown. Hold out less, or "
                 "give more objects or queries."
             )
-        self.check_objects(2)
 
     @cached_property
     def objects(self) -> Integers:
