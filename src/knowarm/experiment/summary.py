@@ -44,19 +44,29 @@ STATISTICS: dict[str, Callable[[np.ndarray], Number]] = {
 }
 
 
-def _choice_corrected(episodes: Columns) -> Interval:
-    """Return the share of right choices: 0 for a choice at random, 1 if all are right."""
+def _choice_corrected(episodes: Columns) -> Interval | None:
+    """Return the share of right choices: 0 for a choice at random, 1 if all are right.
+
+    None: there is no choice, since an episode shows one object.
+    """
     choice = share_of(episodes["choice_correct"])
     chance = episodes["chance"][0]
+    if chance == 1:
+        return None
     ends = (choice.estimate, choice.low, choice.high)
     return Interval(*(float((end - chance) / (1 - chance)) for end in ends))
 
 
-def _success_corrected(episodes: Columns) -> float:
-    """Return the success; 0 for an agent that reaches as often what it chooses at random."""
+def _success_corrected(episodes: Columns) -> float | None:
+    """Return the success; 0 for an agent that reaches as often what it chooses at random.
+
+    None: there is no choice.
+    """
     success = episodes["success"]
     right = episodes["choice_correct"]
     chance = episodes["chance"][0]
+    if chance == 1:
+        return None
     guessed = chance * (success[right].mean() if right.any() else 0.0)
     return float((success.mean() - guessed) / (1 - chance))
 

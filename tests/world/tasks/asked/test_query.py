@@ -12,6 +12,7 @@ from gymnasium.utils.env_checker import check_env
 from numpy.typing import NDArray
 from stable_baselines3.common import env_checker
 
+import knowarm
 from knowarm.errors import UserError
 from knowarm.world import env_id
 from knowarm.world.agents.play import EpisodeResults, play
@@ -332,6 +333,11 @@ def test_a_single_object_answers_its_question() -> None:
     assert table.satisfies[running.question, running.facet].all()
     infos = env.config.task.infos(running)
     assert infos["is_right_object"].all()
+    options: dict[str, Any] = {"episodes": 4, "probes": (), "write": False}
+    result = knowarm.evaluate(OracleAgent, env.config, **options)
+    assert result.summary["choice"] == 1
+    assert "choice_corrected" not in result.summary.numbers
+    assert "success_corrected" not in result.summary.numbers
     assert len(set(running.target)) > 1
 
 
