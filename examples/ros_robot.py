@@ -51,10 +51,11 @@ class Arm(MujocoSimulator):
         self.command: np.ndarray | None = None
         self._on_tick = on_tick
 
-    def step(self, joint_targets: np.ndarray) -> None:
+    def step(self, joint_targets: np.ndarray, ids: np.ndarray | None = None) -> None:
         for _ in range(SUBSTEPS):
             self._on_tick()
-            super().step(joint_targets if self.command is None else self.command[None])
+            command = joint_targets if self.command is None else self.command[None]
+            super().step(command, ids)
 
 
 class RobotNode(Node):
