@@ -1,5 +1,6 @@
 """Runs that see and solve are asked as any other: they act, or stay."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -51,3 +52,15 @@ def test_an_edited_fact_puts_the_mug_on_another_tray():
     )
     way = missing.film[-1].joints - missing.film[0].joints
     assert abs(way).max() < 0.02
+
+
+def test_a_scene_of_a_single_object_can_be_asked_about():
+    trained = knowarm.load_agent(ZOO / "tiago-choose-sort-answers-seen")
+    config = trained.config
+    task = replace(config.env.task, asked=replace(config.env.task.asked, objects=1))
+    trained.config = replace(config, env=replace(config.env, task=task))
+    trained.network.spec = replace(trained.network.spec, objects=1)
+    asked = ask(trained, "put the mug where it belongs")
+    assert len(asked.shown) == 1
+    assert asked.right
+    assert asked.within

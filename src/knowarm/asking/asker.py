@@ -292,7 +292,7 @@ class Asker:
         """Return whether objects stand apart, and the network sees the one that answers alone."""
         size = self._spec.image_size
         pixels = pixels_of(self._env.scene, self._scenes.positions[scene], size)
-        if pdist(pixels).min() < APART * size:
+        if pdist(pixels).min(initial=np.inf) < APART * size:
             return False
         shown = self._named(self._shown[scene])
         right = self._truth(answers, scene).evidence
