@@ -80,6 +80,17 @@ def test_in_play_it_is_told_the_tray_that_is_seen(knowledge, change, least, most
     assert is_a_tray.all()
 
 
+def test_without_the_facts_of_an_episode_it_says_what_it_needs(knowledge):
+    config = knowarm.experiment_config(NAME)
+    policy = build(config).new_policy(0)
+    agent = knowledge.make_player(config.env, policy, greedy=True)
+    with closing(ArmVectorEnv(config.env, 1)) as env:
+        env.reset(seed=3)
+        batch = Batch.of(env)
+    with pytest.raises(UserError, match="facts of the episode, which are not given"):
+        agent.reset(Batch(env=batch.env, names=batch.names))
+
+
 def test_what_it_knows_of_places_has_controls():
     # Of these episodes the second tray is right, and the first one is a guess.
     options = {"episodes": 2, "seed": 2, "probes": (), "write": False}

@@ -117,7 +117,16 @@ class SeeingAgent(ABC):
         return moves & ~self.lacks_place
 
     def reset(self, batch: Batch) -> None:
-        """Forget everything: n episodes start."""
+        """Forget everything: n episodes start.
+
+        Raises:
+            UserError: the batch lacks the facts of the episodes.
+        """
+        if self._skill.tells_facts and not batch.facts:
+            raise UserError(
+                "Where an object belongs follows from facts of the episode, which are not given: "
+                "play this agent by `knowarm.play`, `evaluate`, `ask`, `view` or `record`."
+            )
         self.agent.reset(batch)
         self.notes = {}
         self._joints = np.zeros((batch.size, 0))
