@@ -158,7 +158,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as temporary:
         folder = {
             name: unpack_study(RESULTS / f"{name}.tar.xz", Path(temporary) / name)
-            for name in (*STUDIES, "size", "a3c", "a3c-tuned", "fusions", "choose")
+            for name in (*STUDIES, "size", "a3c-tuned", "fusions", "choose")
         }
         shares = RESULTS / "fusions.csv", RESULTS / "fusions-blind.csv"
         progress = done(folder["fusions"])
@@ -172,9 +172,8 @@ def main() -> None:
         known = Decided.of(studies, [cell.task for cell in cells])
         states = dict.fromkeys(done(folder[name]) for name in STUDIES)
         progress = " ".join(state for state in states if state != ALL_DONE) or ALL_DONE
-        paper = folder["a3c"]
         tuned = folder["a3c-tuned"]
-        pages["-a3c"] = a3c_page(paper, tuned, [done(paper), done(tuned)])
+        pages["-a3c"] = a3c_page(tuned, done(tuned))
         pages["-size"] = size_section(
             folder["size"], RESULTS / "size-speed.csv", done(folder["size"]), cells
         )
