@@ -39,5 +39,5 @@ def test_it_is_asked_for_by_one_command_line(tmp_path, monkeypatch, capsys):
     main([*train, "--perception", str(network), "--interim.episodes", "2"])
     (run,) = Path("runs").glob("*/0")
     result = knowarm.evaluate(run, episodes=16, probes=(), write=False)
-    assert result.summary["success"] > 0.2
+    assert result.summary["success"] > 0.3  # at the wrong object 0.19
     assert len(set(result.episodes["query"])) > 8
