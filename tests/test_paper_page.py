@@ -115,18 +115,22 @@ def test_arms_are_compared_over_the_same_last_steps_and_only_when_complete():
     constant = course_run([10.0] * 25 + [-5.0] * 5 + [99.0] * 30, 1_000_000, 70_000_000)
     arm = course_run([-10.0] * 20 + [10.0] * 10, 1_000_000, 30_000_000)
     arms = {name: study_of(arm) for name in ARMS}
-    _, text, rows = arms_part(constant, arms)
+    _, lead, text, rows = arms_part(constant, arms)
     assert "up to 30 million steps" in text.replace("\n", " ")
     cells = {
         row.split(" | ")[0].strip("| "): row.split(" | ")[1:]
         for row in rows.splitlines()
     }
+    assert lead.startswith(
+        "**With a rate falling to 0 100 % succeed, with the paper's numbers 0 %"
+    )
+    assert lead.endswith("falls by up to 0, with the constant one by up to 4.")
     # Running means of 20: 10 at 20 M, then the five falls, (15 * 10 - 5 * 5) / 20 = 6.25 at 30 M.
     assert cells["the paper's"][:3] == ["-5", "0.0", "0.0"]
     assert cells["the paper's"][4].startswith("4, ")
     assert "to 30.0 M" in cells["the paper's"][4]
-    assert cells["rate falling to 0"][:3] == ["+10", "100.0", "100.0"]
-    assert cells["rate falling to 0"][4].startswith("0, ")
+    assert cells["a rate falling to 0"][:3] == ["+10", "100.0", "100.0"]
+    assert cells["a rate falling to 0"][4].startswith("0, ")
     begun = course_run([-10.0] * 30, 900_000, 30_000_000)
     assert arms_part(constant, {**arms, "paper-a3c-decay": study_of(begun)}) == []
     assert arms_part(constant, {"paper-a3c-decay": study_of(arm)}) == []
