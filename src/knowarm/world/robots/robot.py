@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from math import isclose
 from pathlib import Path
 from typing import Any, Literal
 
@@ -139,6 +140,9 @@ class Robot:
     fingers: tuple[str, ...] = ()
     """Names of the two fingers in the model, bodies or geoms, drawn open; empty for none. They
     move only in tasks that need it."""
+    finger_shares: tuple[float, float] = (0.5, 0.5)
+    """Share of the gap between the fingers that each crosses as they close; (1, 0): a jaw that
+    closes on one that stays."""
     cannot_hold: Mapping[str, str] = field(default_factory=dict)
     """Objects that these fingers cannot hold at their grasp frame, with the reason."""
     base_position_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -221,6 +225,11 @@ class Robot:
         yield (
             all(0 <= index < count for index in self.start_joints),
             f"start_joints {self.start_joints} must be indices 0 to {count - 1} into joints",
+        )
+        first, second = self.finger_shares
+        yield (
+            first > 0 and second >= 0 and isclose(first + second, 1.0),
+            f"finger_shares must add up to 1, the first above 0; got {self.finger_shares}",
         )
         for name, (low, high) in self.joint_ranges.items():
             yield (

@@ -37,9 +37,9 @@ ENDLESS_RANGE_RAD = (-2 * np.pi, 2 * np.pi)
 
 @dataclass(frozen=True)
 class Fingers:
-    """Two fingers that move alike: the last joint of a scene, 0 where they are open."""
+    """Two fingers that move together: the last joint of a scene, 0 where they are open."""
 
-    closed_m: float  # Way of each from open to closed
+    closed_m: float  # Way of the first from open to closed
     force_n: float  # Largest force of each
 
 

@@ -47,6 +47,7 @@ GRIP_FORCE_N = 40.0  # Largest force of each finger
 FINGER_GAIN_N_M = 4_000.0  # Gain of the fingers' position servos
 FINGER_DAMPING_N_S_M = 80.0
 LEAST_OPENING_M = 0.005  # Fingers that are drawn nearer to each other are closed
+STAYS_M = 1e-5  # Range of a finger that stays
 SQUEEZE_M = 0.02  # Way past closed of the servos, so that thin parts are gripped with full force
 PAD_M = 0.03  # Length of what grips of a finger behind the tool centre point
 SUNK_M = 0.002  # Depth below the support from which a shape does not stand on it
@@ -106,14 +107,15 @@ def build_lift_scene(
         model = spec.compile()
     scene = dict(vars(describe_model(model, robot, targets, distractors)))
     scene["joint_names"] = (*robot.joints, FINGERS_JOINT)
+    closed = opening * robot.finger_shares[0]
     scene["fingers"] = Fingers(
-        closed_m=opening / 2,
+        closed_m=closed,
         force_n=GRIP_FORCE_N,
     )
     last = {
         "qpos_index": model.joint(FINGERS[0]).qposadr,
         "joint_lower": 0.0,
-        "joint_upper": opening / 2 + SQUEEZE_M,
+        "joint_upper": closed + SQUEEZE_M,
         "home": 0.0,
     }
     for name, value in last.items():
@@ -199,19 +201,21 @@ def _move_fingers(spec: MjSpec, data: MjData, robot: Robot) -> float:
         )
     origin, tcp_frame = _tcp_frame(data, robot)
     across = tcp_frame[:, 1]
-    for name, finger, (geom, *_) in zip(robot.fingers, FINGERS, geoms, strict=True):
+    shares = robot.finger_shares
+    fingers = zip(robot.fingers, FINGERS, geoms, shares, strict=True)
+    for name, finger, (geom, *_), share in fingers:
         inward = -across * np.sign((data.geom_xpos[geom] - origin) @ across)
         frame = data.xmat[model.geom_bodyid[geom]].reshape(3, 3)
         body = spec.body(ROBOT_PREFIX + name)
         if body is None:
             body = _geom_to_body(spec, model, geom)
         body.name = finger
-        _add_slide(spec, body, frame.T @ inward, opening / 2)
+        _add_slide(spec, body, frame.T @ inward, max(opening * share, STAYS_M))
     spec.add_equality(
         type=mjtEq.mjEQ_JOINT,
-        name1=FINGERS[0],
-        name2=FINGERS[1],
-        data=np.eye(1, mjNEQDATA, 1)[0].tolist(),  # 0, 1, 0, 0, ...
+        name1=FINGERS[1],
+        name2=FINGERS[0],
+        data=np.eye(1, mjNEQDATA, 1)[0] * shares[1] / shares[0],  # 0, ratio, 0, 0, ...
     )
     return float(opening)
 

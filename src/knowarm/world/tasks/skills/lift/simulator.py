@@ -42,8 +42,11 @@ class LiftSimulator(MujocoSimulator):
     ) -> None:
         model = scene.model
         joints = scene.num_joints
-        # One servo per joint, and one of the second finger, which takes the first one's target
+        # One servo per joint, and one of the second finger, which follows the first one's target
         self._servo_joint = np.arange(joints + 1).clip(max=joints - 1)
+        shares = np.array(scene.robot.finger_shares)
+        self._ratios = shares / shares[0]
+        self._servo_ratio = np.append(np.ones(joints), self._ratios[1])
         super().__init__(scene, num_envs, num_threads)
         self._lift_scene = scene
         self._rows = np.arange(num_envs)
@@ -123,7 +126,8 @@ class LiftSimulator(MujocoSimulator):
         """Put the targets on their support, or far above, and the second finger as the first."""
         self._time[ids] = START_S
         rows = ids[:, None]
-        self._qpos[rows, self._finger_qpos] = self._qpos[rows, self._finger_qpos[:1]]
+        first = self._qpos[rows, self._finger_qpos[:1]]
+        self._qpos[rows, self._finger_qpos] = first * self._ratios
         poses = np.repeat(self._lift_scene.rest[None], len(ids), axis=0)
         poses[..., :2] = position
         if visible is not None:
@@ -134,7 +138,7 @@ class LiftSimulator(MujocoSimulator):
 
     def _set_servos(self, ids: Indices | slice, joint_targets: Floats) -> None:
         """Set the servos' targets; that of the second finger follows the first one's."""
-        self._ctrl[ids] = joint_targets[:, self._servo_joint]
+        self._ctrl[ids] = joint_targets[:, self._servo_joint] * self._servo_ratio
 
     def step(self, joint_targets: Floats, ids: Indices | None = None) -> None:
         """Advance by a control period to joint targets (n, J) [rad].
@@ -156,7 +160,8 @@ class LiftSimulator(MujocoSimulator):
     ) -> None:
         """As `MujocoSimulator.set_joints`, the second finger as the first."""
         rows = np.arange(len(joint_positions)) if env_ids is None else env_ids
-        self._qpos[rows[:, None], self._finger_qpos] = joint_positions[:, -1:]
+        fingers = joint_positions[:, -1:] * self._ratios
+        self._qpos[rows[:, None], self._finger_qpos] = fingers
         super().set_joints(joint_positions, env_ids)
 
     def _may_grip(self, joint_targets: Floats) -> Mask:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from itertools import accumulate
+from typing import ClassVar
 
 import numpy as np
 
@@ -19,20 +20,12 @@ from knowarm.world.tasks.skills.teacher import (
 )
 from knowarm.world.tasks.state import EpisodeState
 
-# Distances of the poses of the approach from the grasp frame
-APPROACH_M = (0.035, 0.07)
-OVER_M = 0.05  # Height of the first pose above the start of the approach
-RISE_M = (0.04, 0.08, 0.12)  # Heights of the poses of the path upwards
 POINTS = 6  # Points between two poses
 AHEAD = 4  # Points from the one that is passed to the one that is aimed at
 PASSED = (1.0, 0.6)
 """Largest error of a joint at which the first and the last point are passed [largest steps]."""
 LOST = 4.0  # Error at every point from which the path starts again at its first [largest steps]
-CLOSE_M = 0.025
-CLOSE_DEG = 12.0
-"""Largest distance and angle to the grasp frame at which fingers close; an arm of small steps has
-to come as much nearer as its largest step is smaller than ``CLOSE_RAD``."""
-
+CLOSE_DEG = 12.0  # Largest angle to the grasp frame at which fingers close
 CLOSE_RAD = 0.05
 MET_M = 0.001  # Distance of the fingers from each other at which they have met
 NOISE_AT_GRASP = 0.5  # `PRACTICE_NOISE` at the end of the approach
@@ -45,22 +38,34 @@ class LiftTeacher(Teacher):
     What it does depends on the state alone: with open fingers it follows the poses of the approach
     from the furthest that is passed, at the last one it closes them, and as soon as both touch the
     object it follows the poses of the path upwards. Fingers that close on nothing open again.
+
+    An arm of small steps has to come as much nearer before it closes them as its largest step is
+    smaller than ``CLOSE_RAD``.
     """
+
+    approach_m: ClassVar[tuple[float, ...]] = (0.035, 0.07)
+    """Distances of the poses of the approach from the grasp frame."""
+    over_m = 0.05
+    """Height of the first pose above the start of the approach."""
+    rise_m: ClassVar[tuple[float, ...]] = (0.04, 0.08, 0.12)
+    """Heights of the poses of the path upwards."""
+    close_m = 0.025
+    """Largest distance to the grasp frame at which fingers close."""
 
     def __init__(self, state: EpisodeState[LiftSimulator]) -> None:
         super().__init__(state)
         self._simulator = state.simulator
         nearness = min(1.0, float(self._largest) / CLOSE_RAD)
-        self._close_m = nearness * CLOSE_M
+        self._close_m = nearness * self.close_m
         self._close_deg = nearness * CLOSE_DEG
         self._opened_m = 0.0  # Where fingers go that open
         back = -state.scene.grasp_matrix[:, :, 2]
         up = np.tile([0.0, 0.0, 1.0], (len(back), 1))
-        shifts = [distance * back for distance in APPROACH_M]
-        shifts.append(APPROACH_M[-1] * back + OVER_M * up)
+        shifts = [distance * back for distance in self.approach_m]
+        shifts.append(self.approach_m[-1] * back + self.over_m * up)
         self._approach = self._moved(shifts)
         self._approach.reverse()
-        self._rise = self._moved([height * up for height in RISE_M])
+        self._rise = self._moved([height * up for height in self.rise_m])
 
     def _moved(self, shifts: Sequence[Floats]) -> list[GoalTable]:
         """Return the table of the grasp frames and shifted ones, each solved from the last."""

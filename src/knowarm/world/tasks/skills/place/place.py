@@ -125,6 +125,10 @@ class Place(Lift):
         """Return what takes the object to the tray."""
         return PlaceGuide
 
+    def is_over(self, offset: Floats) -> Mask:
+        """Return which offsets from the destination (n, 2) [m] are above it, (n,)."""
+        return is_over(offset)
+
     def memory(self, num_envs: int) -> NamedArrays:
         """Remember whether the object was taken, where it was, and for how long it has rested."""
         return {
@@ -157,7 +161,8 @@ class Place(Lift):
         """Compare with the step before."""
         centre = state.simulator.centre(state.target)
         moved = norm(centre - state.memory["centre"], axis=1)
-        is_placed = stands(state.simulator, state.target) & _is_over_tray(state)
+        is_placed = stands(state.simulator, state.target)
+        is_placed &= self.is_over(_tray_offset(state))
         rests = state.memory["taken"] & is_placed & (moved < STILL_M)
         is_up = state.simulator.rise(state.target) >= self.height_m
         return state.memory | {
@@ -220,7 +225,8 @@ class Place(Lift):
         has_fallen = rise < -FALLEN_M
         has_fallen |= is_free & (_tilt_deg(simulator, target) > TOPPLED_DEG)
         has_fallen |= ~is_taken & (way > LOST_M)
-        is_beside = is_taken & is_free & (rise < DOWN_M) & ~_is_over_tray(state)
+        is_beside = is_taken & is_free & (rise < DOWN_M)
+        is_beside &= ~self.is_over(_tray_offset(state))
         outcome = np.full(len(way), UNFINISHED)
         outcome[is_beside] = BESIDE
         outcome[has_fallen] = FALLEN
@@ -234,11 +240,6 @@ def _tray_offset(state: State) -> Floats:
     """Return x and y from the right tray's centre to the object's centre of mass, (n, 2) [m]."""
     centre = state.simulator.centre(state.target)[:, :2]
     return centre - state.memory[DESTINATION]
-
-
-def _is_over_tray(state: State) -> Mask:
-    """Return whether the centre of mass is above the tray, (n,)."""
-    return is_over(_tray_offset(state))
 
 
 def _tilt_deg(simulator: LiftSimulator, objects: Integers) -> Floats:

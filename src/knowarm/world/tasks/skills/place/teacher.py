@@ -105,7 +105,7 @@ class PlaceTeacher(LiftTeacher):
         """See `LiftTeacher._with_object`: on the path to the tray, at whose end they let go."""
         state = self._state
         rise = path_of(self._rise, state.target, state.positions[:, 0])
-        lower = self._at_tray(self._lower)
+        lower = self.lowered()
         carry = _between(rise[-1:], lower[:1], CARRY_POINTS)
         lowered = _between(lower[:-1], lower[1:], LOWER_POINTS)
         path = np.concatenate([rise[:-1], *carry, *lowered, lower[-1:]])
@@ -115,7 +115,7 @@ class PlaceTeacher(LiftTeacher):
 
     def _after_release(self, joints: Floats) -> tuple[Floats, Mask]:
         """See `LiftTeacher._after_release`: back from an object that is down over its tray."""
-        leave = self._at_tray(self._leave)
+        leave = self.left()
         backwards = _between(leave[:-1], leave[1:], LOWER_POINTS)
         path = np.concatenate([*backwards, leave[-1:]])
         goal = followed(path, joints)
@@ -130,6 +130,14 @@ class PlaceTeacher(LiftTeacher):
         is_there = is_over(centre - state.memory[DESTINATION])
         is_low = self._simulator.rise(state.target) < height_m
         return state.memory["taken"] & is_there & is_low
+
+    def lowered(self) -> Floats:
+        """Return joint angles with each object over its tray, from above down, (H, n, A) [rad]."""
+        return self._at_tray(self._lower)
+
+    def left(self) -> Floats:
+        """Return joint angles of each gripper on its way from where it let go, (B, n, A) [rad]."""
+        return self._at_tray(self._leave)
 
     def _at_tray(self, tables: Floats) -> Floats:
         """Return the joint angles of each episode's tray and object, (P, n, A), of (T, K, P, A)."""
