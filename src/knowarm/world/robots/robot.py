@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from math import isclose
 from pathlib import Path
 from typing import Any, Literal
 
@@ -228,7 +227,7 @@ class Robot:
         )
         first, second = self.finger_shares
         yield (
-            first > 0 and second >= 0 and isclose(first + second, 1.0),
+            first > 0 and second >= 0 and first + second == 1,
             f"finger_shares must add up to 1, the first above 0; got {self.finger_shares}",
         )
         for name, (low, high) in self.joint_ranges.items():

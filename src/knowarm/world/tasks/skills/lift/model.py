@@ -108,10 +108,7 @@ def build_lift_scene(
     scene = dict(vars(describe_model(model, robot, targets, distractors)))
     scene["joint_names"] = (*robot.joints, FINGERS_JOINT)
     closed = opening * robot.finger_shares[0]
-    scene["fingers"] = Fingers(
-        closed_m=closed,
-        force_n=GRIP_FORCE_N,
-    )
+    scene["fingers"] = Fingers(closed_m=closed, force_n=GRIP_FORCE_N)
     last = {
         "qpos_index": model.joint(FINGERS[0]).qposadr,
         "joint_lower": 0.0,

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from itertools import accumulate
-from typing import ClassVar
 
 import numpy as np
 
@@ -43,11 +42,11 @@ class LiftTeacher(Teacher):
     smaller than ``CLOSE_RAD``.
     """
 
-    approach_m: ClassVar[tuple[float, ...]] = (0.035, 0.07)
+    approach_m: tuple[float, ...] = (0.035, 0.07)
     """Distances of the poses of the approach from the grasp frame."""
     over_m = 0.05
     """Height of the first pose above the start of the approach."""
-    rise_m: ClassVar[tuple[float, ...]] = (0.04, 0.08, 0.12)
+    rise_m: tuple[float, ...] = (0.04, 0.08, 0.12)
     """Heights of the poses of the path upwards."""
     close_m = 0.025
     """Largest distance to the grasp frame at which fingers close."""

@@ -161,9 +161,9 @@ class Place(Lift):
         """Compare with the step before."""
         centre = state.simulator.centre(state.target)
         moved = norm(centre - state.memory["centre"], axis=1)
-        is_placed = stands(state.simulator, state.target)
-        is_placed &= self.is_over(_tray_offset(state))
-        rests = state.memory["taken"] & is_placed & (moved < STILL_M)
+        is_there = self.is_over(_tray_offset(state))
+        stands_there = stands(state.simulator, state.target) & is_there
+        rests = state.memory["taken"] & stands_there & (moved < STILL_M)
         is_up = state.simulator.rise(state.target) >= self.height_m
         return state.memory | {
             "taken": state.memory["taken"] | is_up,
@@ -225,8 +225,8 @@ class Place(Lift):
         has_fallen = rise < -FALLEN_M
         has_fallen |= is_free & (_tilt_deg(simulator, target) > TOPPLED_DEG)
         has_fallen |= ~is_taken & (way > LOST_M)
-        is_beside = is_taken & is_free & (rise < DOWN_M)
-        is_beside &= ~self.is_over(_tray_offset(state))
+        is_down = is_taken & is_free & (rise < DOWN_M)
+        is_beside = is_down & ~self.is_over(_tray_offset(state))
         outcome = np.full(len(way), UNFINISHED)
         outcome[is_beside] = BESIDE
         outcome[has_fallen] = FALLEN
