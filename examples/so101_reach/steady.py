@@ -1,6 +1,6 @@
 """SO101ReachCube: bring the tool point within 2 cm of a point 2 cm above a cube, and stand still.
 
-A re-implementation, in another simulator, of a task of Squint (Almuzairee et al. 2025), with the
+A re-implementation, in another simulator, of a task of Squint (Almuzairee et al. 2026), with the
 third-person camera of its code in place of the wrist camera of its curves.
 
     git clone --depth 1 https://github.com/TheRobotStudio/SO-ARM100
