@@ -2,18 +2,18 @@
 
 A re-implementation, in another simulation, of a task of SO101-Nexus (commit 3619f7d) from its
 documentation. As there: the cube (25 mm, 10 g), the disc (10 cm wide, seen and not touched, at a
-drawn place at least 55 mm from the cube), the start pose and its noise, 20.5 s at most, and success:
-the cube's centre within 2.5 cm of the disc's, on the support, slower than 1 cm/s and released. For
-.2 s, as in its second version, which accepts all of the disc. It differs:
+drawn place at least 55 mm from the cube), the start pose and its noise, 20.5 s at most, and when it
+succeeds: the cube's centre within 2.5 cm of the disc's, on the support, slower than 1 cm/s and
+released; for .2 s, as in its second version, which accepts all of the disc. It differs:
 
 - The arm is of primitives; its jaw slides by 5 cm towards the fixed one, where the real one turns.
-- Cube and disc are in a rectangle of 10 x 28 cm in which the gripper can point straight down, not in
-  the half ring of 10 to 30 cm around (15, 0) cm, of which the arm does not reach all.
-- The cube is not rotated. It has to be lifted by 3 cm and to end upright, and the episode ends where
-  it is released elsewhere, toppled or pushed by 15 cm; there it may be pushed, and tried again.
+- Cube and disc are in a rectangle of 10 x 28 cm in which the gripper can point straight down. There
+  they are in the half ring of 10 to 30 cm around (15, 0) cm, of which the arm does not reach all.
+- The cube is not rotated. It has to be lifted by 3 cm and to end upright, and the episode ends
+  where it is released elsewhere, toppled or pushed by 15 cm; there the arm may push or try again.
 - Ten actions of at most .05 rad per second, there fifty; its training ends episodes after 10.2 s.
-- Released means that no finger touches it; its second version also measures what the support carries.
-- A policy sees 64 x 64 pixels of a fixed camera; the published figures are of the simulator's state.
+- Released means that no finger touches it; its second version measures what the support carries.
+- A policy sees 64 x 64 pixels of a fixed camera; the published figures are of the exact state.
 
     knowarm evaluate oracle --env.task disc:OnDisc --env.robot so101.toml \\
         --env.targets cube.toml --episodes 300
