@@ -82,8 +82,8 @@ the first
 run](../decisions.md#the-outcomes-of-the-papers-experiment-are-declared-before-its-first-run)."""
 
 CURVES = """Begun cells: percent of the best model; mean return of the last {count} interim
-evaluations (a million steps). No run is stopped for what it shows. Two earlier trainings were
-stopped in the drop, {earlier} ([lab notes](../lab-notes/a3c.md), `paper-a3c-before.csv`)."""
+evaluations (a million steps). Two earlier trainings were stopped in the drop, {earlier} ([lab
+notes](../lab-notes/a3c.md), `paper-a3c-before.csv`)."""
 
 OUTCOMES = {
     "accuracy at 10 cm": ("post-training-greedy", "accuracy", "distance"),

@@ -23,10 +23,9 @@ LAST_OF_ARM, LAST_OF_SCHEDULE = 5_000_000, 500_000
 """Steps at the end whose interim evaluations are compared."""
 MEASURES = ("return_mean", "success", "accuracy")
 
-ARMS_TEXT = """IRB120, randomized colours, `bm`, one training seed from the same initial weights:
-the paper's constant rate up to {until:g} million steps, and one number changed at a time. Return,
-success and accuracy are means of the interim evaluations of the last {last:g} million steps. One
-seed screens; it decides nothing."""
+ARMS_TEXT = """IRB120, randomized colours, `bm`, one training seed from the same initial weights, up
+to {until:g} million steps; return, success and accuracy [%] of the interim evaluations of the last
+{last:g} million. One seed screens; it decides nothing."""
 
 SCHEDULES_TEXT = """The same cell, the first {until:g} of 70 million steps: a process per worker,
 as in the paper, and the fixed schedule of all other runs. {seeds} training seeds; difference of the
