@@ -96,8 +96,7 @@ def run_status(
         state, detail = _state(folder, config, evaluations, pause_step(out))
         facts |= {"state": state, "detail": detail}
         if state == "done" and evaluations:
-            summary = Summary.read(folder.evaluation(evaluations[0].folder))
-            facts["success"] = summary["success"]
+            facts["success"] = _summary(folder, evaluations[0])["success"]
     except UserError as error:
         facts |= {"state": "damaged", "detail": str(error)}
     steps = config.total_steps
@@ -173,13 +172,18 @@ def missing_evaluations(
     for evaluation in evaluations:
         made_with = None
         with suppress(UserError):
-            made_with = Summary.read(folder.evaluation(evaluation.folder)).config
+            made_with = _summary(folder, evaluation).config
         if made_with is not None and made_with != evaluation:
             robot = find_robot(folder.experiment().env.robot)
             evaluation = evaluation.of_robot(robot)
         if made_with != evaluation:
             missing.append(evaluation)
     return missing
+
+
+def _summary(folder: RunFolder, evaluation: EvaluationConfig) -> Summary:
+    """Read settings and numbers of one of a run's evaluations."""
+    return Summary.read(folder.evaluation(evaluation.folder), with_groups=False)
 
 
 def totals(statuses: Sequence[RunStatus], cores: int) -> Facts:
