@@ -71,7 +71,7 @@ class DiscTeacher(PlaceTeacher):
     approach_m = (0.02, 0.035)
     over_m = 0.01
     rise_m = (0.02, 0.045)
-    close_m = 0.006
+    close_m = 0.015
     heights_m = (0.045, 0.02, 0.002)
     leave_m = (0.0, 0.02, 0.045)
 
