@@ -408,7 +408,7 @@ NO_FINGERS = {
     ),
     "one jaw": (
         ARM.replace(RIGHT, ""),
-        "left moves alone across the hand, and skills close two fingers by the same way",
+        "left moves alone across the hand, and drafts take two that do",
     ),
     "joints without ranges": (
         hinged(("", ""), ("", ""), ALONG + TIPS),

@@ -252,8 +252,8 @@ def _open_fingers(
     if len(pair) < 2:
         alone = model.body(model.geom_bodyid[fingers[0][0]]).name
         raise UserError(
-            f"{alone} moves alone across the hand, and skills close two fingers by the same way, "
-            "which a fixed jaw cannot follow"
+            f"{alone} moves alone across the hand, and drafts take two that do; where a fixed jaw "
+            "faces it, set fingers to both, it first, and finger_shares = [1, 0]"
         )
     if len(drivers) > MOST_DRIVERS:
         raise UserError(

@@ -225,10 +225,10 @@ class Robot:
             all(0 <= index < count for index in self.start_joints),
             f"start_joints {self.start_joints} must be indices 0 to {count - 1} into joints",
         )
-        first, second = self.finger_shares
+        shares = self.finger_shares
         yield (
-            first > 0 and second >= 0 and first + second == 1,
-            f"finger_shares must add up to 1, the first above 0; got {self.finger_shares}",
+            0 < shares[0] <= sum(shares) == 1,
+            f"finger_shares must add up to 1, the first above 0; got {shares}",
         )
         for name, (low, high) in self.joint_ranges.items():
             yield (
