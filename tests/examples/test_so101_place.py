@@ -1,15 +1,18 @@
 """The example ``so101_place``: one jaw closes on a fixed one, and the cube ends on a drawn disc."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from knowarm.errors import UserError
 from knowarm.world.agents.play import play_steps
 from knowarm.world.agents.scripted import TeacherAgent
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
+from knowarm.world.robots import find_robot
 from knowarm.world.tasks.task import Task
 
 FOLDER = Path(__file__).parents[2] / "examples" / "so101_place"
@@ -49,3 +52,10 @@ def test_a_cube_is_put_on_a_disc_by_a_jaw_that_closes_on_a_fixed_one(
     assert np.allclose(disc, env.running.memory["destination"])
     apart = np.linalg.norm(disc - env.running.positions[:, 0], axis=1)
     assert apart.min() > APART_M
+
+
+@pytest.mark.parametrize("shares", [(1.0, 0.5), (0.0, 1.0), (1.5, -0.5)])
+def test_shares_of_the_gap_add_up_to_it(shares: tuple[float, float]) -> None:
+    robot = find_robot(str(FOLDER / "so101.toml"))
+    with pytest.raises(UserError, match="must add up to 1"):
+        replace(robot, finger_shares=shares)
