@@ -344,6 +344,22 @@ def test_learning_has_the_medians_of_all_runs():
     assert f"`fast` {ends} million in the median" in (RESULTS / "README.md").read_text()
 
 
+def test_the_so101_places_as_often_as_its_runs_say():
+    rows = table_of("so101-place.csv")
+    assert [row["training_seed"] for row in rows] == list("01234")
+    assert {row["steps"] for row in rows} == {"500224"}
+    success = [100 * float(row["success"]) for row in rows]
+    page = " ".join((RESULTS / "learning.md").read_text("utf-8").split())
+    said = re.search(r"\*\*`distil` succeeds in ([\d.]+) % \[(\d+), (\d+)\]", page)
+    mean, low, high = map(float, said.groups())
+    assert mean == pytest.approx(np.mean(success), abs=0.05)
+    # Another interval than the page's, which draws seeds anew: Student's t is wider.
+    half = 2.776 * np.std(success, ddof=1) / np.sqrt(5)
+    assert mean - half - 1 < low < mean < high < mean + half + 1
+    blind = [float(row[agent]) for row in rows for agent in ("blind", "frozen")]
+    assert max(blind) == max(float(row["open_loop"]) for row in rows) == 0
+
+
 def data_of_pages():
     """Return what the table of data names, by the pages of its rows."""
     table = (RESULTS / "README.md").read_text("utf-8").split("## Data")[1]

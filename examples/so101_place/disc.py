@@ -17,7 +17,9 @@ released; for .2 s, as in its second version, which accepts all of the disc. It 
 
     knowarm evaluate oracle --env.task disc:OnDisc --env.robot so101.toml \\
         --env.targets cube.toml --episodes 300
-    knowarm train bm-distil --env.task disc:OnDisc --config run.toml
+    knowarm train bm-distil --env.task disc:OnDisc --config run.toml --seed 0 \\
+        --total-steps 500000 --algorithm.processes 1
+    knowarm evaluate runs/so101-on-disc-bm-distil/0 --tasks disc:OnDisc --episodes 1000
     knowarm view so101.toml --task disc:OnDisc --targets cube.toml
 """
 
