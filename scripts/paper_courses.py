@@ -9,6 +9,7 @@ import numpy as np
 
 from knowarm.report.model import RunData, Runs, StudyData
 from knowarm.statistics import welch
+from scripts.answer_a3c import blind_agents
 from scripts.answer_cells import plus, signed, table
 
 SMOOTHED = 20
@@ -25,7 +26,7 @@ MEASURES = ("return_mean", "success", "accuracy")
 
 ARMS_TEXT = """IRB120, randomized colours, `bm`, one training seed from the same initial weights, up
 to {until:g} million steps; return, success and accuracy [%] of the interim evaluations of the last
-{last:g} million. One seed screens; it decides nothing."""
+{last:g} million. One seed decides nothing. Blind, at most: {blind}."""
 
 SCHEDULES_TEXT = """The same cell, the first {until:g} of 70 million steps: a process per worker,
 as in the paper, and the fixed schedule of all other runs. {seeds} training seeds; difference of the
@@ -103,7 +104,10 @@ def arms_part(constant: RunData, arms: dict[str, StudyData]) -> list[str]:
     rows = [arm_row("the paper's", constant, until)]
     rows += [arm_row(ARMS[name], run, until) for name, run in runs.items()]
     total = max(run.config.total_steps for run in runs.values())
-    text = ARMS_TEXT.format(until=total / 1e6, last=LAST_OF_ARM / 1e6)
+    groups = [group for study in arms.values() for group in study.tasks[0].groups]
+    text = ARMS_TEXT.format(
+        until=total / 1e6, last=LAST_OF_ARM / 1e6, blind=blind_agents(groups)
+    )
     columns = ["numbers", "return", "success", "accuracy", "highest", "largest fall"]
     return [
         "## One number changed",

@@ -144,7 +144,9 @@ class OnDisc(Place):
         signed = 2 * surroundings.reshape(len(ids), TRIES, 2) - 1
         places = robot.rectangle_centre_m + signed * robot.rectangle_half_size_m
         way = np.linalg.norm(places - state.positions[ids, :1], axis=2)
-        first_apart = np.argmax(way > APART_M, axis=1)
+        first_apart = np.argmax(
+            way > APART_M, axis=1
+        )  # none is in 1 of 27,000: the first
         disc = places[np.arange(len(ids)), first_apart]
         number = state.scene.model.body(DISC).mocapid[0]
         state.simulator.batch.bind("mocap_pos")[ids, number, :2] = disc

@@ -243,7 +243,7 @@ class Summary:
 
     @classmethod
     def read(cls, folder: Path, *, with_groups: bool = True) -> "Summary":
-        """Read the summary of an evaluation's folder; without its groups a tenth of the time."""
+        """Read the summary of an evaluation's folder, or all but its groups, most of the file."""
         path = folder / "summary.json"
         values = read_json(path, remedy=AGAIN)
         with reading(path, AGAIN):
