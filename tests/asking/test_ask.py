@@ -1,5 +1,6 @@
 """`knowarm ask`: answers, scene, arm, edits, other people's graphs, the page and its server."""
 
+import gc
 import html
 import http.client
 import json
@@ -7,6 +8,7 @@ import re
 import socket
 import threading
 import time
+import weakref
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
@@ -389,6 +391,33 @@ def test_the_page_says_what_can_be_asked_of_this_graph_and_this_policy(asker, tm
     ):
         home.ask("holds fish")
     home.close()
+
+
+@pytest.mark.parametrize(
+    "question",
+    [
+        "usedFor drinking",
+        "something to drink from",
+        "I am thirsty. Something to drink from.",
+    ],
+)
+def test_a_film_is_freed_with_its_answer(asker, question):
+    """Or else the memory of a page that is asked again and again grows by films of 36 MB."""
+    gc.collect()
+    gc.disable()
+    try:
+        images = _shown_images(asker, question)
+        assert images
+        assert all(image() is None for image in images)
+    finally:
+        gc.enable()
+
+
+def _shown_images(asker, question):
+    """Return weak references to the images of a page's film."""
+    asked = asker.ask(question, scene=1)
+    page(asked, question, (), asker=asker)
+    return [weakref.ref(frame.large) for frame in asked.film[:-1]]
 
 
 def test_labels_never_cover_each_other(asker):

@@ -253,7 +253,8 @@ class _Answering:
         except AmbiguousNameError:
             raise
         except UserError as error:
-            exact = error
+            # Its traceback would keep this frame, and what callers hold.
+            exact = error.with_traceback(None)
         try:
             plain = read_plain(text, self.vocabulary, self.holders)
         except UserError as error:

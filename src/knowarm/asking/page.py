@@ -4,7 +4,7 @@ import threading
 import webbrowser
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from http.server import HTTPServer, ThreadingHTTPServer
 from operator import methodcaller
 from pathlib import Path
@@ -158,6 +158,8 @@ def page(
         values.update(
             _pictures(asked), labels=place_labels(asked), reasons=reasons(asked)
         )
+        # What a template was given is freed late, by the collector of cycles: not the whole film.
+        values["asked"] = replace(asked, film=asked.film[-1:])
     elif asker is not None and not problem:
         image, facets = asker.look(min(scene or 0, SCENES - 1))
         values["image"] = data_uri("PNG", encode(image, "PNG"))

@@ -63,7 +63,7 @@ def read_plain(text: str, vocabulary: Vocabulary, holders: Holders) -> PlainRead
         except UserError as refused:
             if words[0] not in WORDS.speaker or reader.words.has_object:
                 raise
-            error = refused
+            error = refused.with_traceback(None)
             left_out.append(sentence)
             continue
         left_out += reader.words.phrases(end.left_out)
