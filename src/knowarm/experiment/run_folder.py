@@ -104,13 +104,13 @@ class RunFolder:
         if not folder.config_path.is_file():
             what = "does not exist"
             give = "Give RUNS/EXPERIMENT/SEED of a training; its last line names the folder."
-            if folder.path.is_file():
-                what = "is a file"
-            elif folder.path.is_dir():
+            if folder.path.is_dir():
                 what = "has no config.json"
                 inside = sorted(folder.path.glob("**/config.json"))
                 if inside:
                     give = f"Give a run, such as {inside[0].parent}."
+            elif folder.path.exists():
+                what = "is no folder"
             raise UserError(f"{path} is not a run folder: it {what}. {give}")
         refuse_links(folder.path)
         version = folder.config().get("format")
