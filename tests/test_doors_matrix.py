@@ -294,7 +294,7 @@ def test_environments_of_stable_baselines_give_the_same_actions(name):
     same(list(map(np.array, chosen)), expected, "SB3VecEnv")
 
 
-EXPORTED = ("tiago-lift-full-distil",)
+EXPORTED = ("tiago-place-full-distil",)
 """Beside the policy of which six episodes are played; tests/deploy/test_export.py exports more."""
 
 

@@ -27,9 +27,10 @@ PLAYED = (
     "irb120-choose-subgraph-fast",
     "irb120-full-fast",
     "tiago-choose-answers-fast",
-    "tiago-lift-full-distil",
+    "tiago-place-full-distil",
 )
 """Of each agent, robot and task one."""
+PLACER = PLAYED[-1]
 EVALUATED = thorough(50, 100)
 """Episodes that `evaluate` plays."""
 TRAINING = {"distance_m": 0.05, "angle_deg": 15.0}  # the thresholds of environments
@@ -78,10 +79,10 @@ def test_a_policy_reaches_its_targets_and_succeeds_in_each_environment_as_often(
         assert summary["success"] >= 0.75
         assert np.mean([end["is_right_object"] for end in found]) > 0.8
     else:
-        assert summary["success"] >= 0.9
-        assert (
-            min(t["success"].estimate for t in summary.groups["target"].values()) >= 0.8
-        )
+        lowest = 0.7 if name == PLACER else 0.8  # Of any object
+        assert summary["success"] >= lowest + 0.1
+        targets = summary.groups["target"].values()
+        assert min(target["success"].estimate for target in targets) >= lowest
     measured = wilson(round(summary["success"] * EVALUATED), EVALUATED)
     for successes in (alone, [bool(end["is_success"]) for end in found]):
         played = wilson(int(sum(successes)), len(successes))
