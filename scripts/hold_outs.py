@@ -2,7 +2,7 @@
 
     python -m scripts.hold_outs    # from the packs there
 
-An interval is over training seeds and over what the episodes of a split are about: see `TOPICS`.
+An interval is over training seeds and over what the episodes of a split are about: see `topic_of`.
 Pages: answers.md and grasp.md (levels), choose.md (differences).
 """
 
@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from knowarm.experiment.summary import read_table
+from knowarm.knowledge.queries.splits import TOPICS, topic_of
 from knowarm.statistics import (
     CrossedScores,
     Interval,
@@ -22,9 +23,9 @@ from knowarm.statistics import (
 from knowarm.study.pack import unpack_study
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
-CHOOSE = ("s1", "s2", "s3", "s4", "s5")
-FAMILIES = ("s1", "s2", "s3a", "s3b", "s4", "s5")
-PURPOSE = ("s1", "s2", "s4", "s5")
+CHOOSE = ("S1", "S2", "S3", "S4", "S5")
+FAMILIES = ("S1", "S2", "S3a", "S3b", "S4", "S5")
+PURPOSE = ("S1", "S2", "S4", "S5")
 TABLES: dict[str, tuple[dict[str, str], Sequence[str]]] = {
     "answers": (
         {
@@ -58,26 +59,6 @@ TABLES: dict[str, tuple[dict[str, str], Sequence[str]]] = {
 """Experiments by the title of their rows, and splits, of each pack."""
 CONTROLS = ("query-onehot", "query-words", "subgraph-shuffled")
 MEASURES = {"right": "choice_correct", "success": "success"}
-TOPICS = {
-    "s3": "objects",
-    "s3a": "instances",
-    "s3b": "kinds",
-    "s4": "values",
-}
-"""What is held out in a split; in the others queries are."""
-
-
-def topic_of(split: str, query: str, target: str) -> str:
-    """Return what an episode is about: the draw of a split's hold-outs is a draw of these."""
-    if split in ("s3", "s3a"):
-        return target
-    if split == "s3b":
-        kind, _, _ = target.rpartition("-")
-        return kind
-    if split == "s4":
-        value, _, _ = query.partition(" and ")
-        return value
-    return query
 
 
 def episodes_of(experiment: Path, split: str) -> dict[str, CrossedScores]:
@@ -85,7 +66,9 @@ def episodes_of(experiment: Path, split: str) -> dict[str, CrossedScores]:
     runs: list[str] = []
     topics: list[str] = []
     scores: dict[str, list[float]] = {name: [] for name in MEASURES}
-    for path in sorted(experiment.glob(f"*/evaluation/*-{split}/episodes.parquet")):
+    for path in sorted(
+        experiment.glob(f"*/evaluation/*-{split.lower()}/episodes.parquet")
+    ):
         episodes = read_table(path)
         seed = path.parents[2].name
         for query, target in zip(episodes["query"], episodes["target"], strict=True):
@@ -143,7 +126,7 @@ def differences(study: Path) -> str:
 
     Splits where seeds alone show no advantage are left out.
     """
-    splits = ("s2", "s4", "s5")
+    splits = ("S2", "S4", "S5")
     subject = [
         episodes_of(study / "irb120-choose-subgraph-fast", split)["right"]
         for split in splits
@@ -180,7 +163,7 @@ def main() -> None:
         for pack, (experiments, splits) in TABLES.items():
             study = unpack_study(RESULTS / f"{pack}.tar.xz", Path(folder) / pack)
             print(levels(study, experiments, splits))
-            for split in set(splits) & {"s3", "s3b"}:
+            for split in set(splits) & {"S3", "S3b"}:
                 for title, experiment in experiments.items():
                     print(f"{title}: {by_topic(study / experiment, split)}")
         study = unpack_study(RESULTS / "choose.tar.xz", Path(folder) / "choose")

@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 import scipy
 
-from scripts.hold_outs import topic_of
+from knowarm.knowledge.queries.splits import topic_of
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
 NUMBER = re.compile(r"[-+]?\d+\.\d+")
@@ -233,8 +233,8 @@ def test_the_intervals_of_imitation_are_those_of_its_episodes():
 
 def test_a_split_is_a_draw_of_its_topics():
     query = "usedFor drinking and hasColor red"
-    assert topic_of("s1", query, "mug-3") == query
-    assert topic_of("s3a", query, "mug-3") == "mug-3"
-    assert topic_of("s3b", query, "wine_glass-3") == "wine_glass"
-    assert topic_of("s4", query, "mug-3") == "usedFor drinking"
-    assert topic_of("s4", "usedFor drinking", "mug-3") == "usedFor drinking"
+    assert topic_of("S1", query, "mug-3") == query
+    assert topic_of("S3a", query, "mug-3") == "mug-3"
+    assert topic_of("S3b", query, "wine_glass-3") == "wine_glass"
+    assert topic_of("S4", query, "mug-3") == "usedFor drinking"
+    assert topic_of("S4", "usedFor drinking", "mug-3") == "usedFor drinking"

@@ -10,6 +10,7 @@ from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.evaluation import SplitTest
 from knowarm.experiment.probes import FilmsProbe
+from knowarm.experiment.summary import EPISODE_COLUMNS, episode_types, write_table
 from knowarm.reading import read_json, write_json
 from knowarm.report import write_report
 from knowarm.report.blocks import DataTable, flat
@@ -131,7 +132,8 @@ def test_a_query_is_understood_if_every_control_is_beaten(
     assert words in verdict.sentence
     controls = [claim.against for claim in finding.claims if claim.second]
     assert set(controls) == set(choices) & set(CONTROLS)
-    assert len(verdict.reasons) == (1 + len(controls) + 1 if controls else 0)
+    notes = 1 + (kind == "understood" and split != "S1")
+    assert len(verdict.reasons) == (notes + len(controls) + 1 if controls else 0)
     if kind == "understood":
         assert named(verdict.sentence) == set(choices)
     if kind == "not above the best control":
@@ -175,6 +177,69 @@ def test_controls_are_those_of_the_registry(tmp_path):
         "query-onehot",
     }
     assert finding.kind == "understood"
+
+
+VALUES = tuple(f"usedFor {name}" for name in ("a", "b", "c", "d", "e", "f"))
+HALF = dict(zip(VALUES, (0.9, 0.3) * 3, strict=True))
+"""Right choices by value: 90 % on half of them, on the others no more than controls."""
+
+
+def write_episodes(study: Path, of_subgraph: dict[str, float]) -> None:
+    """Write episodes of six values for every evaluation: controls are right in 30 % of each."""
+    generator = np.random.default_rng(5)
+    for folder in sorted(study.glob("*/*/evaluation/*")):
+        shares = dict.fromkeys(VALUES, 0.3)
+        if "choose-subgraph-fast" in str(folder):
+            shares = of_subgraph
+        count = LIGHT.episodes
+        asked = generator.choice(VALUES, count)
+        columns = {name: np.zeros(count) for name in EPISODE_COLUMNS}
+        columns |= {
+            "target": np.full(count, "mug"),
+            "facet": np.full(count, "mug/red"),
+            "query": np.char.add(asked, " and hasColor red"),
+            "choice_correct": [
+                generator.random() < shares[value] for value in asked.tolist()
+            ],
+        }
+        columns = {name: np.asarray(values) for name, values in columns.items()}
+        types = episode_types(columns, {})
+        write_table(folder / "episodes.parquet", columns, types)
+
+
+@pytest.mark.parametrize(
+    ("split", "of_subgraph", "kind", "note"),
+    [
+        (
+            "S4",
+            dict.fromkeys(VALUES, 0.9),
+            "understood",
+            "values that were drawn (6): +",
+        ),
+        ("S4", HALF, "understood of these", "values that were drawn (6): +"),
+        ("S2", HALF, "understood of these", "queries that were drawn (6)"),
+        # Of one object nothing follows for others.
+        ("S3", HALF, "understood of these", "objects that were drawn (1)"),
+        # Training asked the same.
+        ("S1", HALF, "understood", ""),
+    ],
+)
+def test_of_other_questions_than_those_drawn_it_is_shown_by_their_spread(
+    tmp_path, split, of_subgraph, kind, note
+):
+    study = study_of(tmp_path, on(split, EVERY))
+    write_episodes(tmp_path, of_subgraph)
+    finding = only(study)
+    assert finding.kind == kind
+    assert note in " ".join(finding.notes)
+    assert ("it is not shown" in finding.sentence) == (kind == "understood of these")
+    assert len(finding.notes) == (1 if split == "S1" else 2)
+
+
+def test_without_episodes_nothing_is_said_of_other_questions(tmp_path):
+    finding = only(study_of(tmp_path, on("S4", EVERY)))
+    assert finding.kind == "understood"
+    assert "Of other values nothing is known" in finding.notes[-1]
 
 
 def test_noise_is_hardly_ever_understood(tmp_path):

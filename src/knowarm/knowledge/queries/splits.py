@@ -37,6 +37,17 @@ SPLITS = {
 }
 """Every split by name, and what its test asks."""
 
+TOPICS = {
+    "S2": "queries",
+    "S3": "objects",
+    "S4": "values",
+    "S5": "queries",
+    "S3a": "instances",
+    "S3b": "kinds",
+}
+"""What a test's episodes are about where training had none of it, by split: another draw of the
+hold-outs would be one of other topics."""
+
 DRAWN = {
     "S3": (3, HeldOutQuestions.hold_objects),
     "S3b": (6, HeldOutQuestions.hold_kinds),
@@ -62,6 +73,20 @@ HELD_OUT = ("S3", "S4", "S2")
 NOT_NAMED = "hold_out does not name it."
 _Rule = Callable[[Sequence[Query]], Mask]
 """Whether each query may be asked for each object, (Q, O)."""
+
+
+def topic_of(split: str, query: str, target: str) -> str:
+    """Return what an episode of a split is about, by its query and its object; see `TOPICS`."""
+    topics = TOPICS.get(split, "queries")
+    if topics in ("objects", "instances"):
+        return target
+    if topics == "kinds":
+        kind, _, _ = target.rpartition("-")
+        return kind
+    if topics == "values":
+        value, _, _ = query.partition(" and ")
+        return value
+    return query
 
 
 class QuerySplits(NamedTuple):

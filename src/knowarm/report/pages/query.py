@@ -28,7 +28,9 @@ EXPLANATION = (
     "An agent understood the queries of a split if it chose better than chance and than every "
     "control that ran (Welch's t over training seeds, Holm's correction over all agents and splits "
     f"of the report, adjusted p of at most {ALPHA}, at least {FEWEST_SEEDS} seeds of each agent). "
-    "On S1 a code without meaning is enough; S2 to S5 require the meaning.",
+    "On S1 a code without meaning is enough; S2 to S5 require the meaning. Of other questions, "
+    "values or objects than those drawn it is shown if intervals over these and training seeds lie "
+    "above every control, too.",
 )
 
 BEYOND_CHANCE = percent_axis("corrected for chance", whole=False)

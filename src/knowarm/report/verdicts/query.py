@@ -1,11 +1,13 @@
 """Findings on queries: whether an agent of the choose task understood what the query means."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
+from knowarm.errors import UserError
 from knowarm.experiment.agents import AGENTS, controls_of
-from knowarm.knowledge.queries.splits import SPLITS
+from knowarm.knowledge.queries.splits import SPLITS, TOPICS, topic_of
 from knowarm.report.format import ends, listed, p_value, percent, points
 from knowarm.report.model import CONTROLS, Group, StudyData, TaskData
 from knowarm.report.verdicts.claims import (
@@ -19,14 +21,21 @@ from knowarm.report.verdicts.claims import (
     hint,
     mismatch,
 )
-from knowarm.statistics import holm, paired
+from knowarm.statistics import (
+    CrossedScores,
+    Interval,
+    crossed_difference,
+    holm,
+    paired,
+)
 
 
 def query_findings(study: StudyData) -> list[Finding]:
     """Decide for every split whether the agents that receive the query understood it.
 
     They did if their share of right choices, over training seeds, is above chance and every
-    control that ran. Each finding requires all its comparisons (an intersection-union test), so
+    control that ran; of other questions than those drawn only if it is so over these, too. Each
+    finding requires all its comparisons (an intersection-union test), so
     only the findings are corrected for their number, by Holm over all tasks, agents and splits.
     """
     subjects = []
@@ -103,6 +112,17 @@ def _p_value(claims: Claims) -> float | None:
 def _finding(subject: Group, claims: list[Claim], adjusted_p: float | None) -> Finding:
     chance, *controls = claims
     kind = _judge(chance, controls, adjusted_p)
+    notes = []
+    if adjusted_p is not None:
+        notes.append(f"Adjusted p of all comparisons: {p_value(adjusted_p)}.")
+    topics = TOPICS.get(subject.split, "")
+    if kind == "understood" and topics:
+        beyond = _least_beyond(subject, controls)
+        if beyond is None:
+            notes.append(f"Of other {topics} nothing is known: episodes are missing.")
+        else:
+            notes.append(beyond.sentence(topics))
+            kind = "understood" if beyond.is_shown else "understood of these"
     beaten = [control.against for control in controls if control.is_above]
     missed = [control.against for control in controls if not control.is_above]
     best, *others = [control.against for control in controls] or [""]
@@ -120,12 +140,10 @@ def _finding(subject: Group, claims: list[Claim], adjusted_p: float | None) -> F
         controls=f"{best} and than {listed(others)}" if others else best,
         not_beaten=listed(missed, "or") or "every control after the correction",
         also=f" It was better than {listed(beaten)}." if beaten and missed else "",
+        topics=topics,
     )
     sentence = f"{subject.split} ({SPLITS[subject.split]}): {words}"
     reasons = [*controls, chance] if controls and chance.comparison else []
-    notes = []
-    if adjusted_p is not None:
-        notes.append(f"Adjusted p of all comparisons: {p_value(adjusted_p)}.")
     return Finding(
         task=chance.task,
         subject=subject,
@@ -135,6 +153,59 @@ def _finding(subject: Group, claims: list[Claim], adjusted_p: float | None) -> F
         claims=reasons,
         notes=notes,
     )
+
+
+class Beyond(NamedTuple):
+    """By how much an agent is above a control, over training seeds and topics of the episodes."""
+
+    difference: Interval
+    control: str
+    topics: int
+
+    @property
+    def is_shown(self) -> bool:
+        """Whether it is above the control of other topics than those that were drawn, too."""
+        return self.topics > 1 and self.difference.low > 0
+
+    def sentence(self, topics: str) -> str:
+        """Return it in words."""
+        gap = self.difference
+        return (
+            f"Over training seeds and the {topics} that were drawn ({self.topics}): "
+            f"{points(gap.estimate)} points above {self.control} ({ends(gap, points)}), the "
+            "control that is least surely beaten."
+        )
+
+
+def _least_beyond(subject: Group, controls: Claims) -> Beyond | None:
+    """Return by how much an agent is above the control that it beats least surely.
+
+    None where an evaluation lacks its episodes.
+    """
+    found = []
+    try:
+        right = _right_choices(subject)
+        for control in controls:
+            assert control.second
+            gap = crossed_difference(right, _right_choices(control.second))
+            found.append(Beyond(gap, control.against, np.unique(right.topics).size))
+    except (UserError, KeyError):
+        return None
+    return min(found, key=lambda beyond: beyond.difference.low)
+
+
+def _right_choices(group: Group) -> CrossedScores:
+    """Return whether each episode's choice is right, by training run and topic."""
+    right: list[float] = []
+    runs: list[int] = []
+    topics: list[str] = []
+    for run, evaluation in enumerate(group.evaluations):
+        episodes = evaluation.episodes()
+        right += episodes["choice_correct"].astype(float).tolist()
+        runs += [run] * len(episodes["query"])
+        for query, target in zip(episodes["query"], episodes["target"], strict=True):
+            topics.append(topic_of(group.split, query, target))
+    return CrossedScores(np.array(right), runs, topics)
 
 
 def _judge(chance: Claim, controls: Claims, adjusted_p: float | None) -> str:
