@@ -152,29 +152,28 @@ def read_rows(path: Path) -> list[dict[str, str]]:
 
 
 def table(lines: list[dict[str, str]]) -> str:
-    """Return success (right choices) in percent by run, what is off, and who acts."""
-    cells: dict[tuple[str, str, float], dict[str, str]] = {}
+    """Return success (right choices) in percent, by what is off and who acts in which run."""
+    cells: dict[tuple[str, float], dict[tuple[str, str], str]] = {}
     for line in lines:
         count = int(line["episodes"])
         success = 100 * int(line["success"]) / count
         right = 100 * int(line["right"]) / count
-        text = f"{success:.1f} ({right:.1f})"
-        key = (line["run"], line["off"], float(line["amount"]))
-        cells.setdefault(key, {})[line["agent"]] = text
+        row = cells.setdefault((line["off"], float(line["amount"])), {})
+        row[line["run"], line["agent"]] = f"{success:.1f} ({right:.1f})"
+    runs = sorted({line["run"] for line in lines})
+    columns = list(product(runs, BOTH))
+    heads = "".join(f" `{run}`, {who} |" for run, who in columns)
+    parts = [f"| off |{heads}\n|---|{'---|' * len(columns)}"]
     order = list(dict.fromkeys(off for off, _, _ in CELLS))
-    keys = sorted(cells, key=lambda key: (key[0], order.index(key[1]), key[2]))
-    parts = ["| policy of | off | policy | seen and solved |\n|---|---|---|---|"]
-    for run, off, amount in keys:
-        found = cells[run, off, amount]
-        unit = off.partition("[")[2].strip("]")
-        what = (
-            "nothing" if not amount else f"{off.partition(' ')[0]}, {amount:g} {unit}"
-        )
+    for off, amount in sorted(cells, key=lambda key: (order.index(key[0]), key[1])):
+        kind, _, unit = off.partition(" ")
+        what = f"{kind}, {amount:g} {unit.strip('[]')}" if amount else kind
         affected = next(who for name, _, who in CELLS if name == off)
-        texts = [
-            found.get(who, "" if who in affected else "unaffected") for who in BOTH
-        ]
-        parts.append(f"| `{run}` | {what} | {texts[0]} | {texts[1]} |")
+        texts = [what]
+        for run, who in columns:
+            missing = "" if who in affected else "="
+            texts.append(cells[off, amount].get((run, who), missing))
+        parts.append(f"| {' | '.join(texts)} |")
     return "\n".join(parts)
 
 
