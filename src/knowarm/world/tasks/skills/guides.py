@@ -54,7 +54,8 @@ class JointPath:
     """Paths of n arms: joint targets that each passes one after the other.
 
     Args:
-        points: the joint targets, (n, W, J) [rad].
+        points: the joint targets, (n, W, J) [rad]; a point without a pause before one that is the
+            same is left out.
         largest_step: of a joint [rad].
         tolerance: largest error of a joint at which each point is passed [largest steps], (W,).
         pause: steps that the arm waits there, (W,).
@@ -68,27 +69,33 @@ class JointPath:
         pause: Integers | None = None,
     ) -> None:
         count = points.shape[1]
-        self.points = points
-        self._largest = largest_step
-        self._tolerance = np.full(count, NEAR) if tolerance is None else tolerance
-        self._pause = np.zeros(count, np.int64) if pause is None else pause
+        tolerance = np.full(count, NEAR) if tolerance is None else tolerance
+        pause = np.zeros(count, np.int64) if pause is None else pause
+        is_next = np.ones(points.shape[:2], bool)
+        is_next[:, :-1] = (points[:, :-1] != points[:, 1:]).any(axis=2)
+        is_next |= pause > 0
+        order = np.argsort(~is_next, axis=1, kind="stable")
         self._rows = np.arange(len(points))
+        self.points = points[self._rows[:, None], order]
+        self._largest = largest_step
+        self._tolerance = tolerance[order]
+        self._pause = pause[order]
+        self._last = is_next.sum(axis=1) - 1
         self._next = np.zeros(len(points), np.int64)
         self._waited = np.zeros(len(points), np.int64)
 
     def has_ended(self, joint_targets: Floats) -> Mask:
         """Return where joint targets (n, J) are near the last point, (n,)."""
         _, is_near = self._steps_to_next(joint_targets)
-        return is_near & (self._next == self.points.shape[1] - 1)
+        return is_near & (self._next == self._last)
 
     def error(self, joint_targets: Floats) -> Floats:
         """Return the way from joint targets to the next point in largest steps, (n, J)."""
-        last = self.points.shape[1] - 1
         for _ in range(PASSES):
             _, is_near = self._steps_to_next(joint_targets)
-            is_passed = is_near & (self._waited >= self._pause[self._next])
+            is_passed = is_near & (self._waited >= self._pause[self._rows, self._next])
             self._waited = np.where(is_passed, 0, self._waited)
-            self._next = np.minimum(self._next + is_passed, last)
+            self._next = np.minimum(self._next + is_passed, self._last)
         steps, is_near = self._steps_to_next(joint_targets)
         self._waited = self._waited + is_near
         return steps
@@ -96,7 +103,8 @@ class JointPath:
     def _steps_to_next(self, joint_targets: Floats) -> tuple[Floats, Mask]:
         """Return the way to the next point (n, J), and whether that is near, (n,)."""
         steps = (self.points[self._rows, self._next] - joint_targets) / self._largest
-        return steps, np.abs(steps).max(axis=1) < self._tolerance[self._next]
+        tolerance = self._tolerance[self._rows, self._next]
+        return steps, np.abs(steps).max(axis=1) < tolerance
 
 
 class Guide:

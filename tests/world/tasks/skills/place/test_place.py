@@ -17,7 +17,7 @@ from knowarm.world.tasks.skills.lift.guide import Surroundings
 from knowarm.world.tasks.skills.place.place import OUTCOMES, Place
 from knowarm.world.tasks.skills.place.tray import HALF_M
 from knowarm.world.tasks.skills.teacher import COARSE_LEVELS
-from knowarm.world.tasks.state import nearest_levels
+from knowarm.world.tasks.state import ACTION_LEVELS, nearest_levels
 from tests.thorough import thorough
 
 OPEN = 2  # Level of the largest step that opens the fingers
@@ -52,6 +52,33 @@ def test_the_oracle_places_objects_on_the_tray(robot):
     assert (result.infos["placing"][result.success] == "placed").all()
     assert (result.infos["tray_distance"][result.success] < HALF_M * 2**0.5).all()
     assert not result.infos["gripped"][result.success].any()
+
+
+def followed(guide, sight, steps=150):
+    """Return the joint targets of arms that follow their paths, (n, steps, J)."""
+    path = guide.path(sight)
+    targets = sight.joints.copy()
+    levels = 0.05 * np.array(ACTION_LEVELS)
+    passed = []
+    for _ in range(steps):
+        targets = targets + levels[nearest_levels(path.error(targets))]
+        passed.append(targets)
+    return np.stack(passed, axis=1)
+
+
+def test_a_path_does_not_depend_on_the_other_arms_of_its_batch():
+    env = make_env(count=3, task="choose-place")
+    agent = started(env)
+    sight = Sight.true(env.running)
+    together = followed(agent.guide, sight)
+    for number in range(3):
+        rows = {
+            name: values[number : number + 1]
+            for name, values in sight._asdict().items()
+            if values is not None
+        }
+        (alone,) = followed(agent.guide, sight._replace(**rows))
+        np.testing.assert_array_equal(alone, together[number])
 
 
 def test_holding_on_over_the_tray_returns_less_than_letting_go():

@@ -34,8 +34,11 @@ SETTLE_STEPS = 2  # Steps until the arm has followed its joint targets
 # Largest errors at which points are passed [largest steps]
 TO_APPROACH = 1.0
 ON_APPROACH = 0.5
+AROUND_OBJECT = 0.35  # In 15 steps; .2 takes 22, and as many objects are touched
 NEAR_GRASP = 0.2
-NEAR_POSES = 5  # Poses of the approach at which the object may be between the fingers
+NEAR_POSES = (
+    4  # Poses of the approach, before the grasp, with the object between the fingers
+)
 MOST_STEPS = 4.0  # Between two poses; more where the arm would turn over
 
 
@@ -167,7 +170,8 @@ class LiftGuide(Guide):
         fingers = closed * self._closed_m
         tolerance = np.full(path.shape[1], TO_APPROACH)
         tolerance[-poses.shape[1] :] = ON_APPROACH
-        tolerance[-NEAR_POSES:] = NEAR_GRASP
+        tolerance[-NEAR_POSES - 1 :] = AROUND_OBJECT
+        tolerance[-1] = NEAR_GRASP
         legs = [
             Leg(path, fingers, tolerance, SETTLE_STEPS),
             self._standing(grasp, self._closed_m, GRIP_STEPS),
@@ -255,11 +259,17 @@ class LiftGuide(Guide):
                 yield Candidate(ids[is_open], lowered, closed, is_reached[is_open])
 
     def _path_through(self, start: Floats, poses: Floats) -> Floats:
-        """Return joint angles from the start (k, A) to the poses and along them, (k, W, A)."""
+        """Return joint angles from the start (k, A) to the poses and along them, (k, W, A).
+
+        Each moves by at most a largest step from point to point. Shorter paths begin with copies of
+        the start, so that none depends on the others.
+        """
         change = poses[:, 0] - start
-        steps = int(np.ceil(np.abs(change).max() / self._largest))
-        share = np.linspace(0.0, 1.0, steps, endpoint=False)[:, None]
-        before = start[:, None] + share * change[:, None]
+        counts = np.ceil(np.abs(change).max(axis=1) / self._largest).clip(min=1)
+        copies = counts.max() - counts
+        steps = (np.arange(counts.max()) - copies[:, None]).clip(min=0)
+        share = steps / counts[:, None]
+        before = start[:, None] + share[..., None] * change[:, None]
         return np.concatenate([before, poses], axis=1)
 
 

@@ -54,7 +54,8 @@ class PlaceGuide(LiftGuide):
         lower = np.zeros((n, len(LOWER), grasp.shape[1]))
         is_free = np.zeros(n, bool)
         # Each turn is tried at several heights.
-        turns = np.repeat(np.argsort(cost, axis=0), len(CARRY_M), axis=0)
+        order = np.argsort(cost, axis=0, kind="stable")
+        turns = np.repeat(order, len(CARRY_M), axis=0)
         is_reached = np.take_along_axis(cost, turns, axis=0) < UNREACHED
         heights = np.tile(CARRY_M, len(cost))
         for tries, columns in tries_at_once(is_reached, is_free, np.arange(n)):
