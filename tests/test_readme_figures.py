@@ -65,6 +65,12 @@ def lifted():
     return span([100 * float(row["lifted"]) for row in rows])
 
 
+def placed():
+    rows = table_of("place.csv")
+    assert len(rows) == 10
+    return span([100 * float(row["placed"]) for row in rows])
+
+
 def table_of(file):
     return list(csv.DictReader((RESULTS / file).read_text("utf-8").splitlines()))
 
@@ -128,7 +134,8 @@ def without_the_arm():
 def grasps():
     """Return the share of reached poses that lift, of each robot by the paper's thresholds."""
     page = (RESULTS / "grasp.md").read_text("utf-8")
-    row = r"^\| `(?:irb120|tiago)-full-fast` \| 10 cm.*?\| 100 \| 100 .*?\| \d+ .*?\| (\d+) \["
+    assert "| 10 cm, 17 degrees | success | lifted | grasps |" in page
+    row = r"^\| `(?:irb120|tiago)-full-fast` \| 100 .*?\| \d+ .*?\| (\d+) \["
     return span([int(each) for each in re.findall(row, page, re.M)])
 
 
@@ -178,7 +185,8 @@ def test_the_answers_are_those_of_the_packs(file):
         f"that of the place where it belongs in {span(picked('choose-sort'))} %"
         "; two and three objects are tidied up in "
         f"{tidied('tiago')} and {tidied('irb120')} % of "
-        "scenes (one network per robot)"
+        "scenes (one network per robot). Policies learn to place one object in "
+        f"{placed()} %"
     )
 
 
@@ -358,6 +366,22 @@ def test_the_so101_places_as_often_as_its_runs_say():
     assert mean - half - 1 < low < mean < high < mean + half + 1
     blind = [float(row[agent]) for row in rows for agent in ("blind", "frozen")]
     assert max(blind) == max(float(row["open_loop"]) for row in rows) == 0
+
+
+def test_placing_is_learned_as_often_as_its_runs_say():
+    page = (RESULTS / "pick-and-place.md").read_text("utf-8")
+    for name, robot in (("TIAGo", "tiago"), ("IRB120", "irb120")):
+        rows = [row for row in table_of("place.csv") if row["robot"] == robot]
+        assert [row["training_seed"] for row in rows] == list("01234")
+        (line,) = re.findall(rf"^\| {name} \| (\*\*.+)$", page, re.M)
+        said = [float(number) for number in re.findall(r"[\d.]+", line)]
+        values = [100 * float(row["placed"]) for row in rows]
+        mean, low, high = said[:3]
+        assert mean == pytest.approx(np.mean(values), abs=0.05)
+        assert min(values) < low < mean < high < max(values)
+        columns = ("placed_mug", "placed_bottle", "open_loop", "blind", "frozen")
+        means = [np.mean([100 * float(row[key]) for row in rows]) for key in columns]
+        assert said[3:] == pytest.approx(means, abs=0.051)
 
 
 def data_of_pages():
