@@ -34,11 +34,8 @@ SETTLE_STEPS = 2  # Steps until the arm has followed its joint targets
 # Largest errors at which points are passed [largest steps]
 TO_APPROACH = 1.0
 ON_APPROACH = 0.5
-AROUND_OBJECT = 0.35  # In 15 steps; .2 takes 22, and as many objects are touched
 NEAR_GRASP = 0.2
-NEAR_POSES = (
-    4  # Poses of the approach, before the grasp, with the object between the fingers
-)
+NEAR_POSES = 5  # Poses of the approach at which the object may be between the fingers
 MOST_STEPS = 4.0  # Between two poses; more where the arm would turn over
 
 
@@ -170,8 +167,7 @@ class LiftGuide(Guide):
         fingers = closed * self._closed_m
         tolerance = np.full(path.shape[1], TO_APPROACH)
         tolerance[-poses.shape[1] :] = ON_APPROACH
-        tolerance[-NEAR_POSES - 1 :] = AROUND_OBJECT
-        tolerance[-1] = NEAR_GRASP
+        tolerance[-NEAR_POSES:] = NEAR_GRASP
         legs = [
             Leg(path, fingers, tolerance, SETTLE_STEPS),
             self._standing(grasp, self._closed_m, GRIP_STEPS),
