@@ -202,9 +202,9 @@ def _right_choices(group: Group) -> CrossedScores:
     for run, evaluation in enumerate(group.evaluations):
         episodes = evaluation.episodes()
         right += episodes["choice_correct"].astype(float).tolist()
-        runs += [run] * len(episodes["query"])
         for query, target in zip(episodes["query"], episodes["target"], strict=True):
             topics.append(topic_of(group.split, query, target))
+            runs.append(run)
     return CrossedScores(np.array(right), runs, topics)
 
 
