@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from knowarm.errors import UserError
 from knowarm.experiment.agents import AGENTS, controls_of
 from knowarm.knowledge.queries.splits import SPLITS, TOPICS, topic_of
 from knowarm.report.format import ends, listed, p_value, percent, points
@@ -35,8 +34,8 @@ def query_findings(study: StudyData) -> list[Finding]:
 
     They did if their share of right choices, over training seeds, is above chance and every
     control that ran; of other questions than those drawn only if it is so over these, too. Each
-    finding requires all its comparisons (an intersection-union test), so
-    only the findings are corrected for their number, by Holm over all tasks, agents and splits.
+    finding requires all its comparisons (an intersection-union test), so only the findings are
+    corrected for their number, by Holm over all tasks, agents and splits.
     """
     subjects = []
     for task in study.tasks:
@@ -180,7 +179,7 @@ class Beyond(NamedTuple):
 def _least_beyond(subject: Group, controls: Claims) -> Beyond | None:
     """Return by how much an agent is above the control that it beats least surely.
 
-    None where an evaluation lacks its episodes.
+    None where an evaluation lacks its episodes, or they are damaged.
     """
     found = []
     try:
@@ -189,7 +188,7 @@ def _least_beyond(subject: Group, controls: Claims) -> Beyond | None:
             assert control.second
             gap = crossed_difference(right, _right_choices(control.second))
             found.append(Beyond(gap, control.against, np.unique(right.topics).size))
-    except (UserError, KeyError):
+    except (ValueError, KeyError):  # missing or damaged
         return None
     return min(found, key=lambda beyond: beyond.difference.low)
 
