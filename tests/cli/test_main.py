@@ -217,7 +217,7 @@ def test_list_shows_one_kind_only(capsys):
         (["evaluate", "runs/none/0"], ["is not a run folder"]),
         (["evaluate", "orakle"], ["'oracle'"]),
         (["evaluate", "zero", "--json", "/proc/none/x.json"], ["--json"]),
-        (["evaluate", "kitchen.csv"], ["is a file"]),
+        (["evaluate", "kitchen.csv"], ["it is no folder"]),
         (["evaluate", "runs/X"], ["Give a run, such as runs/X/0"]),
         (["list", "robot"], ["'robots'"]),
         (
