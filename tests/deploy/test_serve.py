@@ -489,6 +489,36 @@ def test_the_policy_is_compiled_before_a_client_comes(parts):
     server.close()
 
 
+def test_one_thread_computes_for_all_connections(parts):
+    """Libraries keep memory for each thread that calls them, and threads come and go here."""
+    threads = set()
+
+    def noted(function):
+        def call(*arguments):
+            threads.add(threading.get_ident())
+            return function(*arguments)
+
+        return call
+
+    def make_runner():
+        threads.add(threading.get_ident())
+        runner = parts.runner()
+        runner.reset = noted(runner.reset)
+        runner.act = noted(runner.act)
+        return runner
+
+    server = PolicyServer(make_runner, port=0)
+    threading.Thread(target=server.run, daemon=True).start()
+    for name in (0, 1):
+        with client(server) as connection:
+            connection.recv()
+            ask(connection, observation(parts))
+            ask(connection, observation(parts, env_id=name))
+    server.close()
+    assert len(threads) == 1
+    assert threads.isdisjoint({thread.ident for thread in threading.enumerate()})
+
+
 def test_idle_sockets_neither_end_the_server_nor_cut_off_a_client(
     parts, short_handshakes
 ):

@@ -15,6 +15,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -118,8 +119,9 @@ class PolicyServer:
         self._key = key
         self._resize = resize
         self._seats = threading.BoundedSemaphore(MOST_CONNECTIONS)
-        self._computing = threading.Lock()
-        play_once(make_runner())
+        # Libraries keep memory per thread, and connections come with new threads: one computes.
+        self._computing = ThreadPoolExecutor(1, "policy")
+        self._computing.submit(lambda: play_once(make_runner())).result()
         self._server: Server = serve(
             self._handle,
             sock=_Listener(fileno=listen([port], host).detach()),
@@ -159,6 +161,7 @@ class PolicyServer:
         self._server.socket.close()
         self._start()  # `shutdown` waits for its end
         self._server.shutdown()
+        self._computing.shutdown()
 
     def _start(self) -> None:
         """Start the thread that accepts connections, which ends at once on a closed socket."""
@@ -210,7 +213,7 @@ class PolicyServer:
                 log.info("%s left", client)
 
     def _serve(self, connection: ServerConnection) -> None:
-        first = Episode(self._make_runner(), self._resize)
+        first = self._computing.submit(self._new_episode).result()
         previous_ms = None
         episodes: dict[Any, Episode] = {}
         connection.send(pack(metadata(first.runner)))
@@ -232,18 +235,22 @@ class PolicyServer:
                 raise ValueError(
                     f"a connection has at most {MOST_ENVIRONMENTS} of {ENVIRONMENT!r}"
                 )
-            with self._computing:
-                if not episodes:
-                    episodes[name] = first
-                elif name not in episodes:
-                    episodes[name] = Episode(self._make_runner(), self._resize)
-                answer = episodes[name].answer(observation)
+            if not episodes:
+                episodes[name] = first
+            elif name not in episodes:
+                episodes[name] = self._computing.submit(self._new_episode).result()
+            answer = self._computing.submit(
+                episodes[name].answer, observation
+            ).result()
             timing = {"infer_ms": 1e3 * (time.monotonic() - received)}
             if previous_ms is not None:
                 timing["prev_total_ms"] = previous_ms
             answer["server_timing"] = timing
             connection.send(pack(answer))
             previous_ms = 1e3 * (time.monotonic() - begin)
+
+    def _new_episode(self) -> "Episode":
+        return Episode(self._make_runner(), self._resize)
 
 
 def _address(connection: ServerConnection) -> str:

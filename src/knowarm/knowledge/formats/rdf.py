@@ -301,7 +301,7 @@ def _sound(
             of_file = re.search("UTF-8|end of file", _reason(error))
             if of_file or not (syntax in LINES or of_term):
                 raise
-            errors.append(error)
+            errors.append(error.with_traceback(None))  # its frames hold the graph
 
 
 def _is_sound(term: Term | Triple) -> bool:
