@@ -13,6 +13,7 @@ from typing import Any
 
 from benchmarks.time_to_success import SUCCESS
 from knowarm.cli.tables import print_table
+from knowarm.experiment.csv_log import training_clock
 from knowarm.experiment.summary import Summary
 
 COLUMNS = (
@@ -32,7 +33,9 @@ def row_of(run: Path) -> dict[str, Any]:
         list(csv.DictReader((run / name).open()))
         for name in ("evaluations.csv", "metrics.csv")
     )
-    seconds = {int(row["step"]): float(row["wall_time_s"]) for row in metrics}
+    clock = training_clock(float(row["wall_time_s"]) for row in metrics)
+    steps = [int(row["step"]) for row in metrics]
+    seconds = dict(zip(steps, clock.tolist(), strict=True))
     reached = [
         int(row["step"]) for row in evaluations if float(row["success"]) >= SUCCESS
     ]

@@ -10,6 +10,7 @@ from itertools import combinations, product
 
 import numpy as np
 
+from knowarm.experiment.csv_log import training_clock
 from knowarm.report.format import p_value
 from knowarm.report.model import Group, RunData, StudyData, TaskData
 from knowarm.report.pages.paper import published_comparison, published_result
@@ -305,11 +306,8 @@ def share(found: Sequence[tuple[float, float]]) -> str:
 
 
 def seconds_to(run: RunData, step: float) -> float:
-    """Return the wall time of a training until a step [s]; a resumed one starts at 0 again."""
-    clock = run.metrics["wall_time_s"]
-    passed = np.cumsum(
-        np.where(np.diff(clock, prepend=0) < 0, clock, np.diff(clock, prepend=0))
-    )
+    """Return the wall time of a training until a step [s]."""
+    passed = training_clock(run.metrics["wall_time_s"])
     return float(np.interp(step, run.metrics["step"], passed))
 
 

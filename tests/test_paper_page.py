@@ -148,11 +148,19 @@ def test_schedules_are_compared_by_seeds_and_only_when_complete():
         course_run([0.0] * 30 + [level] * 10, 50_000, 2_000_000) for level in (5, 6, 7)
     ]
     _, text, rows = schedules_part(study_of(*fixed), study_of(*other))
-    assert "3 training seeds" in text
+    assert text.startswith(
+        "**What is learned differs: return, return, all steps.** The same cell, the first 2 of 70"
+    )
+    assert "3\ntraining seeds" in text
     # Welch's t of two times three values one apart: 4 +- 2.776 * sqrt(2 / 3).
     assert "| return | 2.0 | 6.0 | +4.0 [+1.7, +6.3] |" in rows
     assert "| return, all steps | 0.5 | 1.5 | +1.0 [+0.4, +1.6] |" in rows
     assert "| steps per second | 100 | 100 | " in rows
+    failed = [course_run([-level] * 40, 50_000, 2_000_000) for level in (1, 2, 3)]
+    _, text, _ = schedules_part(study_of(*failed), study_of(*failed))
+    assert text.startswith(
+        "**No difference of what is learned is shown, and no run succeeds.**"
+    )
     begun = course_run([0.0] * 30, 50_000, 2_000_000)
     assert schedules_part(study_of(*fixed[:2], begun), study_of(*other)) == []
     assert schedules_part(study_of(*fixed), study_of(*other[:2])) == []

@@ -239,9 +239,7 @@ class PolicyServer:
                 episodes[name] = first
             elif name not in episodes:
                 episodes[name] = self._computing.submit(self._new_episode).result()
-            answer = self._computing.submit(
-                episodes[name].answer, observation
-            ).result()
+            answer = self._computing.submit(episodes[name].answer, observation).result()
             timing = {"infer_ms": 1e3 * (time.monotonic() - received)}
             if previous_ms is not None:
                 timing["prev_total_ms"] = previous_ms

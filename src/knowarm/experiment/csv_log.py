@@ -9,6 +9,9 @@ from itertools import chain
 from pathlib import Path
 from typing import IO, Any
 
+import numpy as np
+
+from knowarm.arrays import Floats
 from knowarm.reading import reading, replacing
 from knowarm.reading import writing as writing_file
 
@@ -69,12 +72,14 @@ def _opened(path: Path, mode: str) -> IO[str]:
 
 def training_seconds(clock: Iterable[float]) -> float:
     """Return the time of a training from its ``wall_time_s``, which restarts at every resume."""
-    seconds = 0.0
-    before = 0.0
-    for now in clock:
-        seconds += now - before if now >= before else now
-        before = now
-    return seconds
+    return float(training_clock(clock)[-1:].sum())
+
+
+def training_clock(clock: Iterable[float]) -> Floats:
+    """Return the time that a training had taken at each of its n ``wall_time_s``, (n,) [s]."""
+    seconds = np.fromiter(clock, np.float64)
+    passed = np.diff(seconds, prepend=0.0)
+    return np.cumsum(np.where(passed < 0, seconds, passed))
 
 
 REMEDY = (
