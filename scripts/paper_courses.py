@@ -30,9 +30,9 @@ to {until:g} million steps; return, success and accuracy [%] of the interim eval
 {last:g} million. One seed decides nothing. Blind, at most: {blind}."""
 
 SCHEDULES_TEXT = """**{lead}.** The same cell, the first {until:g} of 70 million steps, {seeds}
-training seeds: a process per worker, as in the paper, and the fixed schedule of all other runs, on
-two cores with other work. Difference of the means with a 95 % interval (Welch); {seeds} seeds find
-none that is smaller than their scatter. Blind: as above."""
+training seeds: the paper's process per worker, and the fixed schedule of all other runs, on busy
+cores. Interim evaluations of the last {last:g} million steps, difference of means with 95 %
+interval (Welch); {seeds} seeds find none smaller than their scatter. Blind: as above."""
 
 SUCCESS = "success [%]"
 SPEED = "steps per second"
@@ -183,10 +183,15 @@ def schedules_part(fixed: StudyData, asynchronous: StudyData) -> list[str]:
     total = every_run[0].config.total_steps
     lead = "No difference of what is learned is shown"
     if not np.concatenate(outcomes)[:, SCHEDULE_OUTCOMES.index(SUCCESS)].any():
-        lead += ", and no run succeeds"
+        lead += ", and no late episode succeeds"
     if different:
         lead = f"What is learned differs: {', '.join(different)}"
-    text = SCHEDULES_TEXT.format(lead=lead, until=total / 1e6, seeds=len(runs[0]))
+    text = SCHEDULES_TEXT.format(
+        lead=lead,
+        until=total / 1e6,
+        seeds=len(runs[0]),
+        last=LAST_OF_SCHEDULE / 1e6,
+    )
     columns = ["", "fixed", "asynchronous", "difference"]
     return ["## Asynchronous workers", text, table(columns, rows)]
 

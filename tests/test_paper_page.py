@@ -159,7 +159,7 @@ def test_schedules_are_compared_by_seeds_and_only_when_complete():
     failed = [course_run([-level] * 40, 50_000, 2_000_000) for level in (1, 2, 3)]
     _, text, _ = schedules_part(study_of(*failed), study_of(*failed))
     assert text.startswith(
-        "**No difference of what is learned is shown, and no run succeeds.**"
+        "**No difference of what is learned is shown, and no late episode succeeds.**"
     )
     begun = course_run([0.0] * 30, 50_000, 2_000_000)
     assert schedules_part(study_of(*fixed[:2], begun), study_of(*other)) == []
