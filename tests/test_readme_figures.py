@@ -150,6 +150,29 @@ def picked(task):
     ]
 
 
+def sorting(robot, agent, split):
+    """Return what each of five networks did in 100 episodes, (5, 100) bool by outcome."""
+    rows = [
+        row
+        for row in table_of("sort.csv")
+        if (row["robot"], row["agent"], row["split"]) == (robot, agent, split)
+    ]
+    assert [row["training_seed"] for row in rows] == list("01234")
+    outcomes = ("success", "right", "on_tray", "right_tray")
+    return {
+        name: np.array([list(map(int, row[name])) for row in rows], bool)
+        for name in outcomes
+    }
+
+
+def sorted_by_place():
+    """Return the share of sorted episodes on S1 of each robot in percent."""
+    return [
+        100 * sorting(robot, "seen", "S1")["success"].mean()
+        for robot in ("tiago", "irb120")
+    ]
+
+
 @pytest.mark.parametrize("file", ["README.md", "docs/index.md"])
 def test_the_answers_are_those_of_the_packs(file):
     rows = re.findall(r"^\| .+\? \| (.+) \|$", (ROOT / file).read_text("utf-8"), re.M)
@@ -182,10 +205,10 @@ def test_the_answers_are_those_of_the_packs(file):
     assert pick == (
         "By seeing, then solving: the right one of four is picked in "
         f"{span(picked('choose-lift'))} %, put on a tray in {span(picked('choose-place'))} %, on "
-        f"that of the place where it belongs in {span(picked('choose-sort'))} %"
+        f"that of the place where it belongs in {span(sorted_by_place())} %"
         "; two and three objects are tidied up in "
         f"{tidied('tiago')} and {tidied('irb120')} % of "
-        "scenes (one network per robot). Policies learn to place one object in "
+        "scenes (one network per robot, five for places). Policies learn to place one object in "
         f"{placed()} %"
     )
 
@@ -309,6 +332,41 @@ def test_the_page_shows_what_was_picked_and_placed_as_it_is_in_the_table():
         cells = [cell.strip() for cell in line.strip("|").split("|")]
         column = columns.index((row["task"].removeprefix("choose-"), row["robot"])) % 4
         assert cells[1 + column] == shown
+
+
+def over_networks_and_episodes(hits):
+    """Return an interval by drawing networks and episodes anew, both at once, in percent."""
+    rng = np.random.default_rng(0)
+    networks, episodes = hits.shape
+    means = []
+    for _ in range(2_000):
+        rows = rng.integers(networks, size=networks)
+        columns = rng.integers(episodes, size=episodes)
+        means.append(hits[np.ix_(rows, columns)].mean())
+    return 100 * np.quantile(means, [0.025, 0.975])
+
+
+def test_the_page_shows_what_was_sorted_as_the_episodes_say():
+    page = (RESULTS / "pick-and-place.md").read_text("utf-8")
+    part = page.split("## The graph says where, too")[1].split("\n## ")[0]
+    lines = re.findall(r"^\| `([\w-]+)`, (S\d) \| (.+) \| (.+) \|$", part, re.M)
+    played = {(row["agent"], row["split"]) for row in table_of("sort.csv")}
+    assert {(agent, split) for agent, split, _, _ in lines} == played
+    assert len(lines) == 9
+    for agent, split, *cells in lines:
+        for robot, cell in zip(("tiago", "irb120"), cells, strict=True):
+            outcomes = sorting(robot, agent, split)
+            success, low, high, right, right_tray = map(
+                float, re.findall(r"[\d.]+", cell)
+            )
+            hits = outcomes["success"]
+            assert success == pytest.approx(100 * hits.mean(), abs=0.051)
+            assert right == pytest.approx(100 * outcomes["right"].mean(), abs=0.051)
+            of_tray = outcomes["right_tray"].sum() / outcomes["on_tray"].sum()
+            assert right_tray == pytest.approx(100 * of_tray, abs=0.051)
+            # Another interval than the page's, which is a jackknife
+            again = over_networks_and_episodes(hits)
+            assert [low, high] == pytest.approx(again, abs=4.5), (agent, split, robot)
 
 
 BEGUN = (
