@@ -36,6 +36,8 @@ ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "results" / "minimal-pairs.md"
 FIGURE = ROOT / "docs" / "images" / "minimal-pairs.svg"
 STUDIES = ("minimal-pairs", "minimal-pairs-answers")
+CLONE = "irb120-choose-subgraph-sb3-clone"
+"""Arm of a neighbour's architecture, which `scripts/clone_pairs.py` trains and tests."""
 CHOSEN = tuple(f"chosen_{name}" for name in VERSIONS)
 TEXTS = ("fact_kind", "fact", "target", "new_answer", "told_answer", *CHOSEN)
 COLUMNS = ("experiment", "test", "seed", "episode", *TEXTS)
@@ -196,7 +198,8 @@ def planned(studies: Sequence[StudyConfig]) -> dict[tuple[str, str], set[int]]:
             test = evaluation.folder.removeprefix(PREFIX).removesuffix("pairs")
             for experiment in study.cells():
                 seeds[experiment, test.strip("-")] = set(study.seeds)
-    return seeds
+    first, *_ = studies
+    return {**seeds, (CLONE, ""): set(first.seeds)}
 
 
 def progress(arms: Arms, seeds: Mapping[tuple[str, str], set[int]]) -> str:

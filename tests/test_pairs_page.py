@@ -223,7 +223,7 @@ def test_the_declared_episodes_are_those_of_the_frozen_suite():
 
 def test_the_declared_arms_are_those_of_the_studies():
     seeds = planned([build_pairs.read_study(name) for name in build_pairs.STUDIES])
-    assert len(seeds) == 13
+    assert len(seeds) == 14  # ten agents, three tests of one, and a clone
     assert {len(each) for each in seeds.values()} == {20}
     tests = {test for experiment, test in seeds if "answers-distil" in experiment}
     assert tests == {"", "stop", "colours", "graph-shuffled"}
