@@ -5,8 +5,9 @@
 Behaviour cloning as practitioners have it: episodes of the oracle (`knowarm record`), the policy
 that Stable-Baselines3 makes for several inputs (NatureCNN for the image, beside its features joint
 angles and the vector of the query, two hidden layers; no memory), and the cross-entropy to the
-recorded actions. Everything is fixed here, before any run of the study; the settings were chosen
-on other episodes. Each seed takes some ten minutes of a core, and 4 GB.
+recorded actions. Everything is fixed here, before any run of the study. On 400 other episodes
+these settings go to the right one of four objects in 31 %; 2,000 recorded episodes, ten epochs and
+no shifts in 29. Each seed takes some ten minutes of a core, and 4 GB.
 """
 
 import argparse
