@@ -55,7 +55,7 @@ def recorded(tmp_path):
 def test_a_clone_learns_what_was_recorded_and_reads_image_joints_and_vector(
     tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(clone_pairs, "EPOCHS", 8)
+    monkeypatch.setattr(clone_pairs, "EPOCHS", 16)
     chosen, frames, table, scale = recorded(tmp_path)
     assert len(frames.images) == len(frames.joints) == len(frames.levels) > 300
     policy = clone_pairs.clone(frames, table, scale, seed=0)
@@ -67,7 +67,9 @@ def test_a_clone_learns_what_was_recorded_and_reads_image_joints_and_vector(
         "knowledge": table[frames.rows],
     }
     levels, _ = policy.predict(inputs, deterministic=True)
-    assert np.mean(levels == frames.levels) > 0.5  # of seven
+    constant = [np.bincount(each).max() for each in frames.levels.T]
+    best_constant = sum(constant) / frames.levels.size
+    assert np.mean(levels == frames.levels) > best_constant + 0.1
 
     images, _ = env.reset(seed=0)
     batch = Batch.of(env)
